@@ -1,6 +1,6 @@
-//! Physical constants (CODATA 2018) and what follows from the beam energy.
+//! Physical constants (CODATA 2018), and functions of the beam energy.
 
-/// Largest atomic number that the tables of scattering factors hold.
+/// Largest atomic number in the tables of scattering factors.
 pub const MAX_ATOMIC_NUMBER: u8 = 103;
 /// Rest energy of the electron in eV.
 pub const ELECTRON_REST_ENERGY_EV: f64 = 510_998.95;
@@ -33,7 +33,7 @@ mod tests {
         assert!((wavelength_angstrom(200e3) - 0.025_079).abs() < 1e-6);
         assert!((interaction_parameter(200e3) - 0.7288e-3).abs() < 1e-7);
         assert!((wavelength_angstrom(100e3) - 0.037_014).abs() < 1e-6);
-        // h^2 / (2 pi m e) from the constants themselves
+        // The value of h^2 / (2 pi m e) from its constants.
         let (h, m, e) = (6.626_070_15e-34_f64, 9.109_383_701_5e-31, 1.602_176_634e-19);
         let value = h * h / (2.0 * std::f64::consts::PI * m * e) * 1e20;
         assert!((POTENTIAL_PER_SCATTERING_FACTOR / value - 1.0).abs() < 1e-6, "{value}");

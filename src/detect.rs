@@ -19,24 +19,24 @@ pub use virtual_detector::{
     VirtualDetector, centre_of_mass_mrad, integrated_centre_of_mass, weighted_sum,
 };
 
-/// Thin annuli between two angles of a response.
+/// Number of thin annuli between two angles of a response.
 const ANNULI: usize = 16;
 
-/// Greatest angle: a right angle.
+/// Largest angle: a right angle.
 const MOST_MRAD: f64 = 1570.0;
 
 /// An annular detector: `inner <= theta < outer`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Detector {
-    /// Name of the image it gives.
+    /// Name of the detector's image.
     pub name: String,
     /// Inner angle in mrad.
     pub inner_mrad: f64,
     /// Outer angle in mrad.
     pub outer_mrad: f64,
-    /// Share of the electrons that it counts at some angles: (mrad, 0 to 1), by rising angle, with straight lines between and the
-    /// nearest beyond. All of them without any.
+    /// Share of the electrons that is counted at some angles: (mrad, 0 to 1), by rising angle. It is linear between these angles and
+    /// constant beyond. Without any, all electrons are counted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub response: Vec<[f64; 2]>,
 }
@@ -71,13 +71,13 @@ impl Detector {
     /// Checks name and angles.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a name that no file can have, and for angles that are no annulus.
+    /// [`Error::Invalid`] for a name that no file can have, and for angles that form no annulus.
     pub fn validate(&self) -> Result<()> {
         let value = || format!("{}={}-{}", self.name, self.inner_mrad, self.outer_mrad);
         self.fault().map_or(Ok(()), |fault| Err(Error::invalid(Setting::Detector, value(), fault)))
     }
 
-    /// What is wrong with the name or the angles.
+    /// The fault in the name or the angles, in words.
     fn fault(&self) -> Option<&'static str> {
         let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
         if self.name.is_empty() || !self.name.chars().all(plain) {
@@ -86,7 +86,7 @@ impl Detector {
         if !self.name.contains(|c: char| c.is_ascii_alphanumeric()) {
             return Some("the name needs a letter or digit");
         }
-        // (not "inner < 0", so that no NaN passes)
+        // The comparison is not `inner < 0`, so that NaN is refused too.
         if !(self.inner_mrad >= 0.0 && self.outer_mrad > self.inner_mrad) {
             return Some("the outer angle must exceed the inner, which must not be negative");
         }
@@ -99,13 +99,13 @@ impl Detector {
         self.inner_mrad <= theta_mrad && theta_mrad < self.outer_mrad
     }
 
-    /// The same with a response.
+    /// Replaces the response.
     #[must_use]
     pub fn with_response(self, response: Vec<[f64; 2]>) -> Self {
         Detector { response, ..self }
     }
 
-    /// The share of the electrons that it counts at an angle on it.
+    /// The share of the electrons that is counted at an angle on the detector.
     pub fn response_at(&self, theta_mrad: f64) -> f64 {
         let after = self.response.partition_point(|[angle, _]| *angle <= theta_mrad);
         let at = |n: usize| self.response.get(n);
@@ -116,8 +116,8 @@ impl Detector {
         }
     }
 
-    /// Annuli (inner and outer angle in mrad, share that is counted) that together are this one within `limit_mrad`: one without a
-    /// response, else thin ones.
+    /// Divides the detector within `limit_mrad` into annuli (inner and outer angle in mrad, share that is counted): one without a response,
+    /// else thin ones.
     pub fn annuli(&self, limit_mrad: f64) -> Vec<([f64; 2], f64)> {
         let outer = self.outer_mrad.min(limit_mrad);
         if self.response.is_empty() {
@@ -138,12 +138,12 @@ impl Detector {
         all.map(|(range, middle)| (range, self.response_at(middle))).collect()
     }
 
-    /// How much of a pixel at `theta_mrad` counts, with edges `ramp_mrad` wide.
+    /// The counted share of a pixel at `theta_mrad`, with edges `ramp_mrad` wide.
     fn weight(&self, theta_mrad: f64, ramp_mrad: f64) -> f64 {
         self.share_on(theta_mrad, ramp_mrad) * self.response_at(theta_mrad)
     }
 
-    /// How much of a pixel at `theta_mrad` lies on it, with edges `ramp_mrad` wide.
+    /// The share of a pixel at `theta_mrad` that lies on the detector, with edges `ramp_mrad` wide.
     fn share_on(&self, theta_mrad: f64, ramp_mrad: f64) -> f64 {
         if ramp_mrad <= 0.0 {
             return f64::from(u8::from(self.contains(theta_mrad)));
@@ -168,17 +168,17 @@ struct Pixels {
     edges: Vec<(usize, f32)>,
 }
 
-/// The layout of a diffraction pattern in FFT order (rows = ky, columns = kx), and how detectors collect it.
+/// The layout of a diffraction pattern in FFT order (rows = ky, columns = kx), with the limits of its collection by detectors.
 #[derive(Debug, Clone, Copy)]
 pub struct Pattern {
     /// (rows, columns)
     pub shape: (usize, usize),
     /// Elements from row to row.
     pub stride: usize,
-    /// Only pixels below this angle count.
+    /// Only pixels below this angle are counted.
     pub limit_mrad: f64,
-    /// Width of the linear ramp by which pixels on a detector's edge count in part; 0 takes each
-    /// pixel wholly or not at all, as abTEM does.
+    /// Width of the linear ramp by which pixels on a detector's edge are counted in part. With 0 each pixel is counted wholly or not at
+    /// all, as in abTEM.
     pub ramp_mrad: f64,
 }
 
@@ -204,8 +204,7 @@ impl DetectorMap {
         DetectorMap { per_detector }
     }
 
-    /// Writes the intensity on each detector to `out`: the sum of `scale |psi|^2` over its pixels, `psi` being a pattern of
-    /// this map.
+    /// Writes the intensity on each detector to `out`: the sum of `scale |psi|^2` over its pixels. `psi` is a pattern of this map's layout.
     pub fn collect(&self, psi: &[Complex32], scale: f64, out: &mut [f64]) {
         for (pixels, value) in self.per_detector.iter().zip(out) {
             let whole = |&(at, n): &(usize, usize)| f64::from(power(&psi[at..at + n]));
@@ -225,7 +224,7 @@ impl DetectorMap {
         }
     }
 
-    /// Number of pixels of each detector; those on its edges count in part.
+    /// Number of pixels of each detector; pixels on its edges are counted in part.
     pub fn pixels(&self) -> Vec<f64> {
         let count = |p: &Pixels| {
             let whole: usize = p.runs.iter().map(|r| r.1).sum();

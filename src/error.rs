@@ -1,4 +1,4 @@
-//! Errors of the library. Each says what was wrong, where, and what would do instead.
+//! Errors of the library. Each gives the fault, its place, and the remedy.
 
 use crate::setting::Setting;
 use std::path::{Path, PathBuf};
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 /// Result of the library's functions.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// What can go wrong. A front end adds to the message which of its own options mends it: see [`Setting`].
+/// Errors of the library. A front end adds to the message which of its options mends the fault: see [`Setting`].
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -15,7 +15,7 @@ pub enum Error {
     Io {
         /// The file or directory.
         path: PathBuf,
-        /// What was tried: "read", "create", "rename" ...
+        /// The attempted action: "read", "create", "rename" ...
         action: &'static str,
         /// The operating system's reason.
         source: std::io::Error,
@@ -27,10 +27,10 @@ pub enum Error {
         path: PathBuf,
         /// Line number from 1, or 0.
         line: usize,
-        /// What is wrong and what was expected.
+        /// The fault, and the expected text.
         message: String,
     },
-    /// An element symbol or number that is not known.
+    /// An unknown element symbol or number.
     #[error("unknown element `{0}`; symbols such as `Sr` or atomic numbers 1-{max} are known", max = crate::constants::MAX_ATOMIC_NUMBER)]
     UnknownElement(String),
     /// A setting is outside its limits.
@@ -40,7 +40,7 @@ pub enum Error {
         setting: Setting,
         /// The value given.
         value: String,
-        /// What is allowed, and what to do.
+        /// The allowed values, and the remedy.
         expected: String,
     },
     /// A file leaves a setting open, or contradicts the one that was chosen.
@@ -50,18 +50,18 @@ pub enum Error {
         path: PathBuf,
         /// The setting that decides.
         setting: Setting,
-        /// What the file holds, and what to do.
+        /// The content of the file, and the remedy.
         message: String,
     },
-    /// A changed value of a recipe does not fit.
+    /// A changed value of a recipe is invalid.
     #[error("{assignment}: {message}")]
     Set {
         /// The assignment, `key=value`.
         assignment: String,
-        /// What is wrong and what was expected.
+        /// The fault, and the expected value.
         message: String,
     },
-    /// A disk has no room for what will be written.
+    /// A disk has not enough room for the output.
     #[error(
         "{}: about {} are needed and {} are free; free some space, or name another place",
         path.display(),
@@ -71,23 +71,23 @@ pub enum Error {
     DiskSpace {
         /// The folder.
         path: PathBuf,
-        /// Estimate of what will be written.
+        /// Estimated size of the output.
         needed_bytes: u64,
-        /// What is free.
+        /// Free bytes of the disk.
         free_bytes: u64,
     },
-    /// There is less memory than a simulation will take.
+    /// There is less memory than a simulation needs.
     #[error(
         "about {} of memory are needed and {} are free; {remedy}",
         megabytes(*needed_bytes),
         megabytes(*free_bytes)
     )]
     Memory {
-        /// Estimate of the largest arrays.
+        /// Estimated size of the largest arrays.
         needed_bytes: u64,
-        /// What this process may still take.
+        /// Bytes that this process may still allocate.
         free_bytes: u64,
-        /// What takes less.
+        /// Advice that needs less memory.
         remedy: String,
     },
     /// Another process is writing the same output.
@@ -98,7 +98,7 @@ pub enum Error {
         /// Who holds the lock.
         holder: String,
     },
-    /// The detector asks for angles that the grid does not carry.
+    /// The detector needs angles that the grid does not carry.
     #[error(
         "detector `{name}` reaches {outer_mrad:.1} mrad, but the grid carries scattering only to \
          {limit_mrad:.1} mrad (sampling {sampling_angstrom:.4} A); use a sampling of \
@@ -113,7 +113,7 @@ pub enum Error {
         limit_mrad: f64,
         /// The grid's coarser sampling.
         sampling_angstrom: f64,
-        /// Sampling that would carry the outer angle.
+        /// Sampling that carries the outer angle.
         needed_angstrom: f64,
     },
     /// HDF5 library failure.
@@ -125,15 +125,15 @@ pub enum Error {
         /// The library's reason.
         source: hdf5::Error,
     },
-    /// The user asked to stop.
+    /// The user has stopped the computation.
     #[error("interrupted")]
     Interrupted,
 }
 
-/// Longest number that is written with all its digits.
+/// Largest number of characters of a number that is written with all its digits.
 const LONGEST_NUMBER: usize = 24;
 
-/// A value as it was given, but for numbers of hundreds of digits, such as 1e308.
+/// Shortens numbers of hundreds of digits, such as 1e308; other values stay as given.
 fn readable(value: String) -> String {
     match value.parse::<f64>() {
         Ok(number) if value.len() > LONGEST_NUMBER => format!("{number:e}"),
@@ -169,12 +169,12 @@ impl Error {
     }
 }
 
-/// `:12`, or nothing where there is no line.
+/// `:12`, or nothing for a fault without a line.
 fn at_line(line: usize) -> String {
     if line == 0 { String::new() } else { format!(":{line}") }
 }
 
-/// `setting = value`; of a recipe, whose values are assignments themselves, the value alone.
+/// `setting = value`. For a recipe, whose values are assignments already, only the value.
 fn assignment(setting: Setting, value: &str) -> String {
     match setting {
         Setting::Recipe => value.to_owned(),

@@ -2,8 +2,8 @@
 //! specimens with defects, with a list of every atom beside them.
 //!
 //! Electrons are propagated through the atoms by multislice or PRISM with frozen phonons; detectors are annuli, or pixelated. Lengths of
-//! atoms and probes are in Angstrom, those of fields and worlds in nm, and names say so. Images are arrays
-//! `[row, column] = [y, x]`, in fractions of the incident beam.
+//! atoms and probes are in Angstrom, lengths of fields and worlds in nm, and names include the unit. Images are arrays `[row, column] = [y,
+//! x]`, in fractions of the incident beam.
 //!
 //! # An image of a crystal
 //!
@@ -35,7 +35,7 @@
 //!
 //! # A small world
 //!
-//! A recipe says what a world is made of (`generate/`). This builds one tile of the one for tests, as `stemgen build` does:
+//! A recipe describes a world (`generate/`). This example builds one tile of the recipe for tests, as `stemgen build` does:
 //!
 //! ```
 //! # #[cfg(feature = "hdf5")]
@@ -91,40 +91,40 @@
 //!
 //! # Rooms
 //!
-//! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file. From the ground up; a room uses
-//! only rooms above it in this list (`tests/house.rs` checks that):
+//! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file. A room uses only rooms above it in this
+//! list (`tests/house.rs` checks this):
 //!
 //! - [`constants`]: physical constants
 //! - [`setting`]: names of settings, for errors
-//! - [`error`]: errors that say what was wrong, and what to do
+//! - [`error`]: errors with the fault and the remedy
 //! - [`rng`]: random numbers that depend on names, not on the order of drawing
 //! - `made_once`: values that are made at their first request and kept
 //! - `simd`: vector instructions of the machine
 //! - `matrix`: products of complex matrices
-//! - [`progress`]: what long computations report, and how they are stopped
+//! - [`progress`]: reports of long computations, and their interruption
 //! - [`numerics`]: the version of pixel values
-//! - [`files`]: files that are there as a whole or not at all, locks, disk space
+//! - [`files`]: files that are written as a whole or not at all, locks, disk space
 //! - [`fft`]: Fourier transforms in two dimensions
 //! - [`structure`]: atoms in a cell; CIF, XYZ and POSCAR; zone axes, supercells, columns
-//! - [`models`]: atoms that the program makes itself: carbon films, particles
+//! - [`models`]: atoms from models of the program: carbon films, particles
 //! - [`potential`]: scattering factors, slices, projected potentials
 //! - [`optics`]: the lens: aperture and aberrations; mistilt and focal spread
 //! - [`resample`]: interpolation of images between probes
 //! - [`acquisition`]: from the noise-free image to the recording: scan errors, doses, detectors
-//! - [`damage`]: how likely an electron displaces an atom
-//! - [`detect`]: annular and pixelated detectors, and those that are chosen afterwards
+//! - [`damage`]: the probability that an electron displaces an atom
+//! - [`detect`]: annular, pixelated and virtual detectors
 //! - [`engine`]: from atoms and a scan to images: plan, then simulate
-//! - [`recipe`]: what a world is made of, read from TOML and checked
-//! - [`specimen`]: every site of a large field, asked for region by region
+//! - [`recipe`]: descriptions of worlds, read from TOML and checked
+//! - [`specimen`]: every site of a large field, queried region by region
 //! - [`imaging`]: the image of any rectangle of a field, and its error
-//! - [`simulation`]: images of a user's atoms: the request, and the job that does it
+//! - [`simulation`]: images of a user's atoms: the request, and the job that fulfils it
 //! - [`io`]: files of images, worlds and atoms
 //! - [`render`]: PNG pictures, drawings of specimens, HTML pages
 //! - [`world`]: tiles with their truth, and whole worlds
 //! - [`replay`]: worlds of recorded images
 //! - [`publish`]: folders of worlds for data hubs
 //! - [`live`]: worlds in memory that change under the beam
-//! - [`benchmark`]: scores of what agents found in a world, and of the dose it took
+//! - [`benchmark`]: scores of agents' reports on a world, and of the dose they spent
 //! - [`validate`]: checks against published numbers and other programs, and their reports
 //!
 //! # Features

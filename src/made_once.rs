@@ -1,10 +1,10 @@
-//! Values that are made at their first request and kept.
+//! Values that are made at the first request and kept.
 
 use std::collections::HashMap;
 use std::hash::Hash;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Values by key, each made when it is first asked for. None is ever dropped: for keys of which there are few.
+/// Values by key, each made at its first request. No value is ever dropped, so this is for few keys.
 pub(crate) struct MadeOnce<K, T>(Mutex<HashMap<K, Arc<T>>>);
 
 impl<K, T> Default for MadeOnce<K, T> {
@@ -14,11 +14,11 @@ impl<K, T> Default for MadeOnce<K, T> {
 }
 
 impl<K: Eq + Hash, T> MadeOnce<K, T> {
-    /// The value of a key, from `make` if there is none. Two that ask at once may both make it, and get the one that was there first:
-    /// a lock that is held during work in threads would wait for itself.
+    /// The value of a key, from `make` if there is none. Two simultaneous requests may both make it; both get the value that was there
+    /// first. No lock is held meanwhile, because a lock held during work in threads would wait for itself.
     ///
     /// # Errors
-    /// Those of `make`, which is then asked again the next time.
+    /// Errors of `make`. The next request calls `make` again.
     pub fn get<E>(&self, key: K, make: impl FnOnce() -> Result<T, E>) -> Result<Arc<T>, E> {
         let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let found = lock().get(&key).map(Arc::clone);

@@ -1,20 +1,20 @@
-//! What long computations report, and how they are told to stop.
+//! Progress reports of long computations, and their interruption.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// Receives progress from the library; the command line draws it.
+/// Receives progress from the library; the command line displays it.
 pub trait Progress: Sync {
     /// A stage begins, of `total` units (probes, slices, tiles ...).
     fn start(&self, stage: &str, unit: &str, total: u64);
     /// `n` more units of the current stage are done; called from any thread.
     fn advance(&self, n: u64);
-    /// `n` units of the current stage were done by an earlier run: they say nothing about how fast this one is.
+    /// `n` units of the current stage were done by an earlier run, so they are left out of the speed of this one.
     fn found(&self, n: u64) {
         self.advance(n);
     }
-    /// The current stage is over.
+    /// The current stage has ended.
     fn finish(&self);
-    /// Something the user should know, once.
+    /// Something that the user should know, once.
     fn warn(&self, message: &str);
     /// Whether the user asked to stop. Checked often; the computation then returns
     /// [`crate::Error::Interrupted`].
@@ -35,7 +35,7 @@ impl Progress for Silent {
     }
 }
 
-/// `0.4 s`, `45 s`, `3 min 20 s`, `2 h 05 min`, `3 d 04 h`.
+/// Formats a duration: `0.4 s`, `45 s`, `3 min 20 s`, `2 h 05 min`, `3 d 04 h`.
 pub fn duration(seconds: f64) -> String {
     let whole = seconds.max(0.0).round().min(1e15) as u64;
     match whole {
@@ -47,7 +47,7 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// The progress of one part as a share of the whole: whatever stages the part reports become its share.
+/// The progress of one part as a share of the whole. The stages that the part reports become its share.
 pub(crate) struct ProgressShare<'a> {
     outer: &'a dyn Progress,
     probes: u64,
@@ -57,7 +57,7 @@ pub(crate) struct ProgressShare<'a> {
 }
 
 impl<'a> ProgressShare<'a> {
-    /// For a part that stands for so many probes of the whole.
+    /// Reports the progress of a part that counts as `probes` probes of the whole.
     pub fn new(outer: &'a dyn Progress, probes: usize) -> Self {
         let zero = || AtomicU64::new(0);
         ProgressShare {
@@ -69,12 +69,12 @@ impl<'a> ProgressShare<'a> {
         }
     }
 
-    /// The part is done.
+    /// Reports that the part is done.
     pub fn complete(&self) {
         self.report(self.probes);
     }
 
-    /// An earlier run has done the part.
+    /// Reports that an earlier run has done the part.
     pub fn found(&self) {
         self.reported.store(self.probes, Relaxed);
         self.outer.found(self.probes);
@@ -108,7 +108,7 @@ impl Progress for ProgressShare<'_> {
     }
 }
 
-/// Passes on warnings and the wish to stop, and nothing of the stages: these are counted elsewhere.
+/// Passes on warnings and interruptions, but no stages: these are counted elsewhere.
 pub struct InterruptOnly<'a>(pub &'a dyn Progress);
 
 impl Progress for InterruptOnly<'_> {

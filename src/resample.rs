@@ -1,15 +1,14 @@
 //! Band-limited interpolation of images between their samples.
 //!
-//! Samples closer than `wavelength / (4 semiangle)` determine a STEM image everywhere. As a function of the probe's position,
-//! the amplitude on every pixel of a detector has no spatial frequency above `semiangle / wavelength`, so its intensity has
-//! none above twice that. Frequencies near this limit are weak, since the transfer function of an aperture for
-//! incoherent light falls to zero there. The weights of the 16 samples around a position have the least mean square error for
-//! images with such a spectrum (simple kriging; N. Wiener, Extrapolation, Interpolation, and Smoothing of Stationary
-//! Time Series, 1949). The position need not be in their middle, so an image can be interpolated up to a few samples from
-//! its edge.
+//! Samples closer than `wavelength / (4 semiangle)` determine a STEM image everywhere. As a function of the probe's position, the amplitude
+//! on every pixel of a detector has no spatial frequency above `semiangle / wavelength`, so its intensity has no frequency above twice this
+//! limit. Frequencies near this limit are weak, since the transfer function of an aperture for incoherent light falls to zero there. The
+//! weights of the 16 samples around a position have the least mean square error for images with such a spectrum (simple kriging; N. Wiener,
+//! Extrapolation, Interpolation, and Smoothing of Stationary Time Series, 1949). The position need not be in their middle, so an image can
+//! be interpolated up to a few samples from its edge.
 //!
-//! Positions are counted in samples: 0 is the centre of the first, 1.5 lies between the second and the third.
-//! Results are functions of values and positions alone, the same on every processor.
+//! Positions are counted in samples: 0 is the centre of the first, 1.5 lies between the second and the third. Results are functions of
+//! values and positions alone, identical on every processor.
 
 use crate::error::{Error, Result};
 use crate::optics::Optics;
@@ -21,34 +20,34 @@ use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Number of samples that a value is interpolated from, along each axis.
+/// Number of samples, along each axis, from which a value is interpolated.
 pub const TAPS: usize = 16;
-/// How many of them lie on either side of a position far from edges.
+/// Number of these samples on either side of a position far from edges.
 pub const HALF_WIDTH: usize = TAPS / 2;
-/// Number of samples that should lie beyond the first and the last position of an image that is not periodic.
+/// Number of samples that an image that is not periodic should have beyond the first and the last position.
 pub const MARGIN: usize = 3;
-/// Steps of the tabulated kernel between two samples; linear interpolation between them is right to 2e-6.
+/// Steps of the tabulated kernel between two samples. Linear interpolation between them has an error of 2e-6.
 const PHASES: usize = 512;
 /// Step times band limit of the default (see [`Kernel`]).
 const DEFAULT_PRODUCT: f64 = 0.47;
-/// Largest step times band limit that is accepted: the Nyquist limit.
+/// Largest accepted step times band limit: the Nyquist limit.
 const MOST_PRODUCT: f64 = 0.5;
-/// Assumed variance of noise in the samples, in units of the variance of the image. Rounding to single precision has less;
-/// it keeps the equations well conditioned.
+/// Assumed variance of noise in the samples, in units of the variance of the image. The noise of rounding to single precision is smaller;
+/// this value keeps the equations well conditioned.
 const NOISE: f64 = 1e-7;
 
-/// The highest spatial frequency in STEM images, in 1/Angstrom, whatever the detector, thickness or defocus.
+/// The highest spatial frequency in STEM images, in 1/Angstrom, for any detector, thickness and defocus.
 pub fn image_band_limit(optics: &Optics) -> f64 {
     2e-3 * optics.semiangle_mrad / optics.wavelength_angstrom()
 }
 
-/// The Nyquist distance in Angstrom: samples at most so far apart determine an image with this band limit (1/Angstrom).
+/// The Nyquist distance in Angstrom: samples at most this far apart determine an image with this band limit (1/Angstrom).
 pub fn nyquist_step(band_limit: f64) -> f64 {
     MOST_PRODUCT / band_limit
 }
 
-/// The samples that values between the positions `low` and `high` are interpolated from: those within [`HALF_WIDTH`] on either side,
-/// of `all` that there are, and at least [`TAPS`] where there are so many.
+/// The samples from which values between the positions `low` and `high` are interpolated: the samples within [`HALF_WIDTH`] on either side,
+/// out of `all`, and at least [`TAPS`] if there are enough.
 pub fn samples_around([low, high]: [f64; 2], all: Range<usize>) -> Range<usize> {
     let within = |at: f64| at.clamp(all.start as f64, (all.end as f64 - 1.0).max(all.start as f64));
     let first = (within(low).floor() as usize).saturating_sub(HALF_WIDTH).max(all.start);
@@ -57,17 +56,16 @@ pub fn samples_around([low, high]: [f64; 2], all: Range<usize>) -> Range<usize> 
     first.min(end.saturating_sub(TAPS).max(all.start))..end
 }
 
-/// What lies beyond the first and last samples.
+/// The image beyond the first and last samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Edge {
-    /// The image goes on from its other side.
+    /// The image continues from its other side.
     Periodic,
-    /// Nothing is known. Values less than [`MARGIN`] samples from the edge are less accurate; positions
-    /// outside are moved to the edge.
+    /// The image is unknown. Values less than [`MARGIN`] samples from the edge are less accurate; positions outside are moved to the edge.
     Open,
 }
 
-/// An interpolation kernel, the same along rows and columns.
+/// An interpolation kernel for rows and columns.
 ///
 /// Rms errors in per cent of the standard deviation of the image, along both axes, for HAADF images of one phonon configuration
 /// (SrTiO3 and Si \[110\] of 4-8 nm, Pt \[110\] of 5.5 nm), in the interior and at positions with [`MARGIN`] samples beyond on one side:
@@ -86,18 +84,17 @@ pub struct Kernel {
 
 type Tables = Vec<Vec<[f64; TAPS]>>;
 
-/// Tables that were made last, by the bits of step times band limit: making one takes milliseconds, and the same few are asked for
-/// again and again.
+/// Recently made tables, by the bits of step times band limit. Making one takes milliseconds, and the same few are needed again and again.
 static KEPT: Mutex<Vec<(u64, Arc<Tables>)>> = Mutex::new(Vec::new());
-/// Their largest number; each takes 1 MB.
+/// Largest number of kept tables; each takes 1 MB.
 const MOST_KEPT: usize = 8;
 
-/// The samples that a value is interpolated from, and their weights, which add to 1.
+/// The samples from which a value is interpolated, and their weights, which add to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Weights {
     /// Number of the first sample; may be negative or beyond the last, unless the edge is open.
     pub first: i64,
-    /// Weights of the samples from there on.
+    /// Weights of the samples beginning with the first.
     pub values: [f64; TAPS],
 }
 
@@ -135,7 +132,7 @@ impl Kernel {
         let row = |at: f64| {
             let weights =
                 factor.solve(std::array::from_fn(|j| correlation((j as f64 - at) * product)));
-            // Weights add to 1, so that a constant is kept.
+            // The weights are made to add to 1, so that a constant is kept.
             let lack = (1.0 - weights.iter().sum::<f64>()) / of_ones;
             std::array::from_fn(|j| weights[j] + lack * ones[j])
         };
@@ -146,10 +143,10 @@ impl Kernel {
         (0..TAPS - 1).map(table).collect()
     }
 
-    /// Whether samples `step` apart carry an image without frequencies above `band_limit`.
+    /// Checks that samples `step` apart determine an image without frequencies above `band_limit`.
     ///
     /// # Errors
-    /// Those of [`Kernel::new`].
+    /// Errors of [`Kernel::new`].
     pub fn check(step: f64, band_limit: f64) -> Result<()> {
         let product = step * band_limit;
         if product > 0.0 && product <= MOST_PRODUCT * (1.0 + 1e-9) {
@@ -167,7 +164,7 @@ impl Kernel {
         DEFAULT_PRODUCT / band_limit
     }
 
-    /// Weights of the samples around `position`, as many on either side.
+    /// Weights of the samples around `position`, equally many on either side.
     #[inline(always)]
     pub fn weights(&self, position: f64) -> Weights {
         let below = position.floor();
@@ -194,9 +191,9 @@ impl Kernel {
         Weights { first, values: std::array::from_fn(|i| a[i] + t * (b[i] - a[i])) }
     }
 
-    /// The image on another raster: an array of `shape` (rows = y, columns = x) in the unit of the image. Its values stand at
-    /// `first + i step`, both (row, column) in samples of `image`. The axes are resampled one after the other;
-    /// `edges` are the edges along (rows, columns).
+    /// Interpolates an image on another raster: an array of `shape` (rows = y, columns = x) in the unit of the image. Its values are at
+    /// `first + i step`, both (row, column) in samples of `image`. The axes are resampled one after the other; `edges` are the edges along
+    /// (rows, columns).
     pub fn raster<T: Copy + Into<f64> + Sync>(
         &self,
         image: ArrayView2<'_, T>,
@@ -207,7 +204,7 @@ impl Kernel {
     ) -> Array2<f64> {
         let (rows, columns) = image.dim();
         let positions = |axis: usize, n: usize| -> Vec<[(usize, f64); TAPS]> {
-            // With fewer samples than taps, the outermost are continued.
+            // With fewer samples than taps, the outermost ones are repeated.
             let open = edges[axis] == Edge::Open && n >= TAPS;
             let place = |i: usize| {
                 let at = first[axis] + i as f64 * step[axis];
@@ -244,8 +241,8 @@ fn sample(i: i64, n: usize, edge: Edge) -> usize {
     }
 }
 
-/// Correlation of an image's values at a distance times the band limit, if its power falls off as (1 - |k| / band limit)^3: about
-/// that of a white specimen seen through a round aperture, along one axis.
+/// Correlation of an image's values at a distance times the band limit, for a power that falls as (1 - |k| / band limit)^3: about the power
+/// of a white specimen seen through a round aperture, along one axis.
 fn correlation(distance: f64) -> f64 {
     let z = TAU * distance.abs();
     if z < 1e-2 {
@@ -287,15 +284,15 @@ impl Cholesky {
     }
 }
 
-/// Gives periodic images another number of samples along an axis, by trigonometric interpolation. The first sample stays where it
-/// was; the result is exact if old and new samples are closer than the Nyquist distance.
+/// Changes the number of samples of periodic images along an axis, by trigonometric interpolation. The first sample stays in place. The
+/// result is exact if old and new samples are closer than the Nyquist distance.
 pub struct PeriodicResampling {
     /// Weights of the old samples (columns) in each new one.
     weights: Array2<f64>,
 }
 
 impl PeriodicResampling {
-    /// From so many samples to so many.
+    /// Prepares resampling from `from` samples to `to` samples.
     pub fn new(from: usize, to: usize) -> Self {
         // Dirichlet's kernel: 1 at 0, and 0 at all other samples.
         let dirichlet = |distance: f64| {
@@ -313,9 +310,9 @@ impl PeriodicResampling {
         PeriodicResampling { weights }
     }
 
-    /// The image (rows = y, columns = x) with the new number of samples along `axis`, along which it has the old one.
+    /// Resamples the image (rows = y, columns = x) along `axis`, along which it has the old number of samples.
     pub fn of(&self, image: ArrayView2<'_, f32>, axis: Axis) -> Array2<f32> {
-        // The axis goes down, so that whole rows are summed at once.
+        // The axis is made to run down the rows, so that whole rows are summed at once.
         let from = down(image, axis).as_standard_layout().mapv(f64::from);
         let mut to = Array2::<f32>::zeros((self.weights.nrows(), from.ncols()));
         for (mut to, weights) in to.outer_iter_mut().zip(self.weights.outer_iter()) {
@@ -333,7 +330,7 @@ impl PeriodicResampling {
     }
 }
 
-/// With `axis` and the rows exchanged.
+/// Exchanges `axis` and the rows.
 fn down(image: ArrayView2<'_, f32>, axis: Axis) -> ArrayView2<'_, f32> {
     match axis {
         Axis(0) => image,
@@ -447,7 +444,7 @@ mod tests {
     fn periodic_images_have_the_same_values_on_more_samples() {
         let length = 6.0;
         let waves = waves(length);
-        // 21 samples hold the ten waves within the band limit; 22 do too.
+        // 21 samples are enough for the ten waves within the band limit, and so are 22.
         for n in [21, 22] {
             let sampled = |rows: usize, columns: usize| {
                 Array2::from_shape_fn((rows, columns), |(i, j)| {

@@ -1,36 +1,36 @@
 //! Counter-based random numbers: a pure function of (seed, stream, index), so results do not
 //! depend on call order, threads or restarts.
 //!
-//! Philox4x32-10, J. K. Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC'11.
-//! Transcendental functions come from `libm`, so the numbers are the same on every processor.
+//! Philox4x32-10, J. K. Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC'11. Transcendental functions come from `libm`, so
+//! the numbers are identical on every processor.
 
 use rand::rand_core::{Infallible, TryRng};
 
-/// What a random number is for; separates streams of one seed.
+/// The use of a random number; separates streams of one seed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Purpose {
     /// Thermal displacements.
     Phonon = 1,
-    /// Whether a site is vacant or substituted.
+    /// Vacancies and substitutions of sites.
     Defect = 2,
     /// Poisson noise of the detector.
     Dose = 3,
-    /// Which atom stands on a partially occupied site.
+    /// The atoms on partially occupied sites.
     Occupancy = 4,
     /// Waves of phase boundaries and roughness of interfaces.
     Interface = 5,
     /// Atoms of the random network of carbon.
     Carbon = 16,
-    /// Nanoparticles: where, how large, how turned.
+    /// Places, sizes and orientations of nanoparticles.
     Particle = 17,
     /// Contents of the pool of units.
     Pool = 32,
-    /// Phonons of library cells, and which of them a unit of a world takes.
+    /// Phonons of library cells, and the choice of cells for the units of a world.
     Library = 33,
     /// Regions of audits.
     Audit = 34,
-    /// Probes that the error of windows is measured on.
+    /// Probes on which the error of windows is measured.
     AccuracySample = 35,
     /// Places and doses of tiles for training.
     Tile = 36,
@@ -46,13 +46,13 @@ pub enum Purpose {
     PulseHeight = 44,
     /// Noise of the read-out.
     ReadNoise = 45,
-    /// Which atoms the beam displaces, and when.
+    /// The atoms that the beam displaces, and the times.
     Damage = 48,
     /// Seeds of the recordings of a live world.
     LiveRecording = 49,
-    /// Seeds of specimens that the benchmark makes, for training and for scores.
+    /// Seeds of specimens of the benchmark, for training and for scores.
     HeldOut = 50,
-    /// Electrons that an episode of the benchmark counts.
+    /// Electrons counted in an episode of the benchmark.
     Acquired = 51,
 }
 

@@ -1,4 +1,4 @@
-//! `--accuracy`: tells what the library found.
+//! The report of `--accuracy`.
 
 use super::plan_text::Lines;
 use super::text;
@@ -6,7 +6,7 @@ use serde::Serialize;
 use stemgen::engine::{AccuracyFound, Cost, Plan, Scan};
 use stemgen::simulation;
 
-/// What was found, and the time that finding it took.
+/// The accuracy found, and the time of the search.
 #[derive(Debug, Clone, Serialize)]
 pub struct AccuracyReport {
     #[serde(flatten)]
@@ -15,12 +15,12 @@ pub struct AccuracyReport {
 }
 
 impl AccuracyReport {
-    /// What was found in so many seconds.
+    /// Makes the report of an accuracy that was found in `measured_in_s` seconds.
     pub fn new(found: AccuracyFound, measured_in_s: f64) -> Self {
         AccuracyReport { found, measured_in_s }
     }
 
-    /// What is to be said before the exact engine runs: why, and how long.
+    /// Returns a warning before the exact engine runs: the reason, and the expected time. `None` if a window is used.
     pub fn warning(&self, plan: &Plan, scan: &Scan) -> Option<String> {
         (!self.found.holds && !self.found.tried.is_empty()).then(|| {
             let seconds = simulation::seconds(plan, &Cost::new(plan, scan), 1);
@@ -28,7 +28,7 @@ impl AccuracyReport {
         })
     }
 
-    /// Those of a run as one value: alone, or a list for a series; nothing where no accuracy was asked for.
+    /// Returns the reports of a run as one value: a report, a list for a series, or `None` if no accuracy was asked for.
     pub fn value(reports: &[AccuracyReport]) -> serde_json::Result<Option<serde_json::Value>> {
         match reports {
             [] => Ok(None),
@@ -37,7 +37,7 @@ impl AccuracyReport {
         }
     }
 
-    /// The same for files, without times: the same for the same input.
+    /// Returns the reports of a run as JSON for files, without times, so that equal input gives equal bytes.
     pub fn json_of(reports: &[AccuracyReport]) -> serde_json::Result<Option<String>> {
         match reports {
             [] => Ok(None),
@@ -48,7 +48,7 @@ impl AccuracyReport {
         }
     }
 
-    /// A line of a table.
+    /// Adds the report to a table.
     pub fn line(&self, lines: &mut Lines) {
         let chosen = self.found.algorithm.to_string();
         let took = text::duration(self.measured_in_s);

@@ -19,32 +19,33 @@ use stemgen::world::{FieldRecording, ImagePlan, RecordedFrom, RecordingJob, Reco
 
 const EXAMPLES: &str = "\
 Examples:
-  A tile in the middle of a world, as a good microscope records it, with a picture:
+  A tile in the middle of a world, with the profile of a good microscope, and a picture:
     stemgen acquire worlds/srtio3_easy_2x2.h5 --profile routine -o tile.h5 --png
-  Twenty fast frames of a place, kept one by one, from a recipe (no world is needed):
+  Twenty fast frames of one place, stored one by one, from a recipe (no world is needed):
     stemgen acquire srtio3 --difficulty easy --profile routine --region 20,20,24,24 \\
       --current-pa 30 --dwell-us 1 --frames 20 --keep-frames -o frames.h5
-  A closer look, four times as many pixels along each axis:
+  A tile with pixels four times finer than in the world:
     stemgen acquire worlds/srtio3_easy_2x2.h5 --at 2.5,2.5 --zoom 4 --dose 1e5 -o closer.h5
   One effect alone: a drift of 0.5 nm/s along x:
     stemgen acquire srtio3 --difficulty easy --set acquisition.drift_nm_per_s=[0.5,0] -o drift.h5
-  In Python:
+  Read the recording in Python:
     import h5py
     f = h5py.File(\"tile.h5\")
     f[\"recording\"][:], f[\"ideal\"][:]                        # counts, and the noise-free image
-    f[\"ground_truth/columns/position_in_image\"][:]         # where each column appears, (x, y) in pixels
+    f[\"ground_truth/columns/position_in_image\"][:]         # place of each column, (x, y) in pixels
 
-`stemgen show-recipe srtio3 --difficulty easy --set acquisition.profile=routine` and docs/acquisition.md tell the
-keys of [acquisition]: drift, line jitter, fly-back, mains hum, scale and shear, contamination, DQE, late light, saturation, gain, bits.";
+The keys of [acquisition] set drift, line jitter, fly-back, mains hum, scale and shear,
+contamination, DQE, late light, saturation, gain and bits. docs/acquisition.md explains them. To
+print their values: `stemgen show-recipe srtio3 --difficulty easy --set acquisition.profile=routine`";
 
-/// A set of values for a microscope.
+/// Profile of a microscope: a named set of values.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub enum AcquisitionName {
-    /// Poisson noise only
+    /// Only Poisson noise
     Ideal,
-    /// A corrected microscope, well kept
+    /// A well-kept, corrected microscope
     Routine,
-    /// A bad day: drift, hum, an old detector
+    /// A microscope on a bad day: drift, hum, an old detector
     Poor,
 }
 
@@ -58,54 +59,56 @@ impl From<AcquisitionName> for Profile {
     }
 }
 
-/// Record a place of a world or of a recipe, with the errors of scan and detector
+/// Record a place of a world or recipe as a microscope does, with the errors of scan and detector
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Acquire {
     #[command(flatten)]
     recipe: RecipeArgs,
-    /// Values of the microscope; --set acquisition.KEY=VALUE changes single ones [default: those of the recipe, or
-    /// ideal]
+    /// Profile of the microscope, a named set of values. --set acquisition.KEY=VALUE changes single values [default: the profile
+    /// of the recipe, or ideal]
     #[arg(long, value_name = "NAME", help_heading = "Recording")]
     profile: Option<AcquisitionName>,
-    /// Part to record, in nm: left, upper, right and lower edge
+    /// Part to record: its left, upper, right and lower edge in nm [default: one tile]
     #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = values::rectangle)]
     #[arg(allow_hyphen_values = true, conflicts_with = "at", help_heading = "Recording")]
     region: Option<[f64; 4]>,
-    /// Middle of the part, in nm from the centre of the first pixel; as many pixels as a tile [default: the middle of the field]
+    /// Middle of the part, in nm from the centre of the first pixel. The part has as many pixels as a tile [default: the middle of
+    /// the field]
     #[arg(long, value_name = "X,Y", value_parser = values::point, help_heading = "Recording")]
     #[arg(allow_hyphen_values = true)]
     at: Option<[f64; 2]>,
-    /// How many times finer the pixels are than those of the world
+    /// Factor by which pixels are finer than in the world [default: 1]
     #[arg(long, value_name = "Z", value_parser = values::positive, help_heading = "Recording")]
     zoom: Option<f64>,
     /// Edge of a pixel in nm, in place of --zoom
     #[arg(long, value_name = "NM", value_parser = values::positive, conflicts_with = "zoom")]
     #[arg(help_heading = "Recording")]
     pixel_nm: Option<f64>,
-    /// Electrons per square Angstrom, all frames together [default: the dose of the recipe]
+    /// Dose in electrons per square Angstrom, all frames together [default: the dose of the recipe]
     #[arg(long, value_name = "D", value_parser = values::positive, help_heading = "Recording")]
     #[arg(allow_hyphen_values = true)]
     dose: Option<f64>,
-    /// Current of the beam in pA, in place of --dose
+    /// Beam current in pA, in place of --dose
     #[arg(long, value_name = "I", value_parser = values::positive, conflicts_with = "dose")]
     #[arg(help_heading = "Recording")]
     current_pa: Option<f64>,
-    /// Time on each pixel in microseconds
+    /// Dwell time on each pixel in microseconds [default: the value of the recipe or the profile]
     #[arg(long, value_name = "US", value_parser = values::finite, help_heading = "Recording")]
     #[arg(allow_hyphen_values = true)]
     dwell_us: Option<f64>,
-    /// Number of frames, one after the other
+    /// Number of frames, recorded one after the other [default: the value of the recipe or the profile]
     #[arg(long, value_name = "N", help_heading = "Recording", allow_hyphen_values = true)]
     frames: Option<usize>,
-    /// Keep the frames one by one, in place of their sum
+    /// Store every frame, in place of their sum
     #[arg(long, help_heading = "Recording")]
     keep_frames: bool,
     /// Seed of electrons, noise, jitter and random drift
     #[arg(long, value_name = "N", default_value_t = 1, help_heading = "Recording")]
     #[arg(allow_hyphen_values = true)]
     scan_seed: u64,
-    /// Store what lies between the noise-free image and the recording too
+    /// Also store the stages of the recording: the noise-free image at the real places of the beam, and the electrons on the
+    /// detector
     #[arg(long, help_heading = "Results")]
     stages: bool,
     #[command(flatten)]
@@ -113,7 +116,7 @@ pub struct Acquire {
     /// File to write
     #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
     output: PathBuf,
-    /// Write a picture (.png) beside it too
+    /// Also write a picture (PNG), beside the file
     #[arg(long, help_heading = "Results")]
     png: bool,
     /// Replace existing files
@@ -145,12 +148,12 @@ struct AcquireSummary {
     wall_time_s: f64,
 }
 
-/// What a recording would take.
+/// The plan of a recording.
 #[derive(Serialize)]
 struct AcquirePlan {
     shape: [usize; 2],
     pixel_nm: f64,
-    /// `null` where the world holds the image.
+    /// `null` if the world holds the image.
     image: Option<ImagePlan>,
     output: PathBuf,
 }
@@ -197,7 +200,7 @@ impl Acquire {
         self.common.print(&summary, &summary.text())
     }
 
-    /// What the recording would take.
+    /// Prints the plan of the recording.
     fn dry_run(&self, job: &RecordingJob) -> anyhow::Result<()> {
         let plan = AcquirePlan {
             shape: job.part().pixels_of(job.part().pixel_nm),
@@ -217,7 +220,7 @@ impl Acquire {
         self.common.print(&plan, &lines.text())
     }
 
-    /// What is asked for.
+    /// Returns the request that the options describe.
     fn request(&self) -> RecordingRequest {
         RecordingRequest {
             region_nm: self.region,

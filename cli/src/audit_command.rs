@@ -13,52 +13,58 @@ use stemgen::world::AuditJob;
 
 const EXAMPLES: &str = "\
 Examples:
-  Three regions of a world, drawn at random:
+  Three regions of a world, at random places:
     stemgen audit worlds/srtio3_hard.h5
-  A region at a place of interest, such as a boundary, 5 nm from the left and 2.5 nm from the upper edge:
+  One region at a place of interest, 5 nm from the left and 2.5 nm from the upper edge:
     stemgen audit worlds/srtio3_hard.h5 --at 5,2.5
-  Whether the errors are below 1 %, for a script:
+  In a script: print a message if an error exceeds 1 %:
     stemgen audit worlds/srtio3_hard.h5 --max-error 1 --quiet || echo far off
-  What the error of a world would be, before it is built:
+  The error to expect of a world that is not built yet:
     stemgen audit srtio3 --difficulty easy --configurations 1
 
-Each region is simulated again by plain multislice on the full grid, with the very same atoms in each phonon
-configuration. Errors are those of the method: noise is left out.
+Each region is simulated again by multislice on the full grid, with the displaced atoms of the world
+in each phonon configuration. The errors do not include noise. Bright columns have more than 40 % of
+the intensity of the brightest column.
 
 Exit code: 0 if the errors are at most --max-error, 3 if not, 1 on errors.";
 
-/// Check a world against the exact engine, with the same atoms
+/// Measure the error of a world: compare random regions with multislice of the same atoms
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct AuditCommand {
     #[command(flatten)]
     recipe: RecipeArgs,
-    /// Number of regions, drawn at random; every other one on a particle where there are any
-    #[arg(long, value_name = "N", default_value_t = 3)]
+    /// Number of regions at random places. If the world has particles, every other region lies on one
+    #[arg(long, value_name = "N", default_value_t = 3, help_heading = "Audit")]
     #[arg(value_parser = clap::value_parser!(u16).range(1..=1000))]
     regions: u16,
-    /// Centre of a region in nm from the upper left corner, in place of random ones (repeatable)
-    #[arg(long, value_name = "X,Y", value_parser = values::point)]
+    /// Centre of a region in nm from the upper left corner, in place of random regions (repeatable)
+    #[arg(long, value_name = "X,Y", value_parser = values::point, help_heading = "Audit")]
     at: Vec<[f64; 2]>,
     /// Edge of a region in nm
     #[arg(long, value_name = "NM", default_value_t = 1.0, value_parser = values::finite)]
+    #[arg(help_heading = "Audit")]
     size: f64,
-    /// Compare every how many-th pixel along each axis [default: one about every 0.5 A]
+    /// Compare every N-th pixel along each axis [default: one pixel about every 0.5 A]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=100))]
+    #[arg(help_heading = "Audit")]
     stride: Option<u16>,
-    /// Phonon configurations to average [default: as many as the world]
+    /// Number of phonon configurations to average [default: all of the world]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(help_heading = "Audit")]
     configurations: Option<u16>,
-    /// Largest error in per cent, at bright columns and over all pixels of the brightest column: above it the audit warns,
-    /// also with --quiet, and the exit code is 3
+    /// Largest error, in per cent: rms at bright columns, and rms over all pixels relative to the brightest column. If one of them
+    /// is larger, the audit warns, also with --quiet, and the exit code is 3
     #[arg(long, value_name = "PERCENT", default_value = "5", value_parser = values::percent)]
-    #[arg(allow_negative_numbers = true)]
+    #[arg(allow_negative_numbers = true, help_heading = "Audit")]
     max_error: f64,
-    /// Seed of the places
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    /// Seed of the random places
+    #[arg(long, value_name = "N", default_value_t = 1, help_heading = "Audit")]
     audit_seed: u64,
-    /// Width of the window that follows each probe, in A, of a recipe that has no world yet [default: as `build` chooses]
+    /// Width in A of the window, the small box around each probe in which the probe is propagated. Only for a recipe, not for a
+    /// world file [default: the width that `build` chooses]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
+    #[arg(help_heading = "Audit")]
     window: Option<f64>,
     #[command(flatten)]
     kept: CacheArgs,
@@ -69,13 +75,13 @@ pub struct AuditCommand {
 }
 
 impl AuditCommand {
-    /// Runs the subcommand; the exit code tells whether the errors are small enough.
+    /// Runs the subcommand; the exit code is not 0 if an error is above the limit.
     pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         let (recipe, made) = self.recipe.resolve_or_world()?;
         if self.common.dry_run {
             bail!(
-                "--dry-run: an audit has no plan to show; --configurations 1 --regions 1 is a quick one"
+                "--dry-run: an audit has no plan; leave it out, and give --configurations 1 --regions 1 for a quick audit"
             );
         }
         let options = AuditOptions {
@@ -95,7 +101,7 @@ impl AuditCommand {
     }
 }
 
-/// All detectors, one after the other.
+/// Returns the errors of all detectors, one after the other.
 fn text(audit: &Audit) -> String {
     audit.all().map(text_of_detector).collect::<Vec<_>>().join("\n")
 }
@@ -168,7 +174,7 @@ fn text_of_detector(audit: &Audit) -> String {
     lines.text()
 }
 
-/// `0.25 % too bright`.
+/// Describes a ratio, such as `0.25 % too bright`.
 fn off(ratio: f64, digits: usize, above: &str, below: &str) -> String {
     if !ratio.is_finite() {
         return "not known".into();

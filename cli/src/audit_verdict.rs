@@ -1,24 +1,24 @@
-//! Images that an audit finds far off are said to be so, and have an exit code.
+//! Warning and exit code for images whose audit found an error above the limit.
 
 use super::text;
 use stemgen::imaging::Audit;
 
-/// Exit code where an audit finds more than is allowed: something was compared, and differs.
+/// Exit code if an audit finds an error above the limit.
 pub const FAR_OFF: u8 = super::validate_command::DIFFERENT;
-/// What is allowed where nobody says it, in per cent: no engine of this program is usually as far off.
+/// Default limit in per cent. The usual errors of all engines of the program are smaller.
 const USUAL_PERCENT: f64 = 5.0;
 
-/// Warns, whatever is printed otherwise, of each detector whose error is larger than `limit` (per cent); returns the exit code.
+/// Warns of each detector whose error is larger than `limit` (per cent), also with `--quiet`; returns the exit code.
 pub fn exit_code(subject: &str, audit: &Audit, limit: Option<f64>) -> u8 {
     let limit = limit.unwrap_or(USUAL_PERCENT);
-    // What is no number is within no limit.
+    // An error that is not a number must not pass as small.
     let over = |found: &&Audit| found.error_percent().is_nan() || found.error_percent() > limit;
     let far: Vec<&Audit> = audit.all().filter(over).collect();
     for found in &far {
         let of = found.detector.as_ref().map_or(String::new(), |name| format!(", {name}"));
         text::complain(&format!(
-            "warning: {subject}{of}: far off the exact engine: {:.2} % at bright columns and {:.2} % over all pixels, at most \
-             {limit} % are allowed; wider windows (--window) or --engine multislice come nearer",
+            "warning: {subject}{of}: far off the exact engine: the error is {:.2} % at bright columns and {:.2} % over all pixels, and at \
+             most {limit} % are allowed; wider windows (--window) or --engine multislice are more accurate",
             found.bright_rms_percent, found.all_rms_percent
         ));
     }

@@ -12,23 +12,23 @@ use stemgen::numerics::NUMERICS_VERSION;
 use stemgen::recipe::{CheckedRecipe, Recipe, RecipeChange};
 use stemgen::world::{BuildMethod, BuildOptions, BuildProfile};
 
-/// Changes of a recipe that stand on the command line; more are read better in a file.
+/// Most changes of a recipe on the command line. More changes are easier to read in a recipe file.
 const MOST_CHANGES: usize = 6;
 
-/// How a world is made again.
+/// The command that makes a world again.
 #[derive(Debug, Clone, Serialize)]
 pub struct BuildAgain {
-    /// The words of the command behind the program's name; none where there is no such command.
+    /// The words of the command after the program's name; `None` if no command makes the world.
     pub arguments: Option<Vec<String>>,
-    /// The recipe as TOML, where the command reads it from a file.
+    /// The recipe as TOML, if the command reads it from a file.
     pub recipe: Option<String>,
-    /// Why there is no command, or where its pixels may differ.
+    /// The reason why there is no command, or why its pixels may differ.
     pub note: Option<String>,
 }
 
 impl BuildAgain {
-    /// How a world is made again, with results in `output`; `recipe_file` is where its recipe is to lie if it is none of the
-    /// program's own.
+    /// Finds the command that makes a world again and writes it to `output`. The command reads `recipe_file` if the recipe is not one
+    /// of the program.
     pub fn of(world: &WorldFile, recipe_file: &Path, output: &Path) -> stemgen::Result<Self> {
         let none = |note: &str| {
             Ok(BuildAgain { arguments: None, recipe: None, note: Some(note.to_owned()) })
@@ -36,7 +36,7 @@ impl BuildAgain {
         let Some(text) = &world.metadata().recipe else {
             if let Some(recorded) = world.making().recorded {
                 return none(&format!(
-                    "it is a recorded image; `stemgen import` makes it of {}",
+                    "it is a recorded image; `stemgen import` converts {} to it",
                     recorded.file
                 ));
             }
@@ -44,17 +44,17 @@ impl BuildAgain {
         };
         let name = world.path().display().to_string();
         let Ok(recipe) = Recipe::from_toml_str(&name, text, None) else {
-            return none("its recipe is none that this version of stemgen takes");
+            return none("this version of stemgen cannot read its recipe");
         };
-        // A recipe for a file of atoms depends on that file.
+        // The recipe of a file of atoms cannot be checked without this file, and the error names it.
         let own = recipe.atoms.is_some();
         let recipe = match recipe.checked() {
             Ok(recipe) => recipe,
             Err(error) if own => return none(&error.to_string()),
-            Err(_) => return none("its recipe is none that this version of stemgen takes"),
+            Err(_) => return none("this version of stemgen cannot read its recipe"),
         };
         let Some(options) = BuildOptions::of_world(world, &recipe)? else {
-            return none("no options of build lead to its engine settings");
+            return none("no options of `stemgen build` give its engine settings");
         };
         let mut words = vec!["build".to_owned()];
         let own = recipe_words(&recipe, &mut words, recipe_file);
@@ -64,12 +64,12 @@ impl BuildAgain {
         Ok(BuildAgain { arguments: Some(words), recipe, note: note(world) })
     }
 
-    /// The command as it is typed.
+    /// Returns the command as a line of a shell.
     pub fn line(&self) -> Option<String> {
         self.line_of(PROGRAM)
     }
 
-    /// The same for the program `name`.
+    /// Returns the command as a line of a shell, for a program called `name`.
     pub fn line_of(&self, name: &str) -> Option<String> {
         let words = self.arguments.as_ref()?;
         let program = std::iter::once(name.to_owned());
@@ -77,23 +77,23 @@ impl BuildAgain {
     }
 }
 
-/// Why pixels may differ.
+/// Returns the reason why pixels may differ.
 fn note(world: &WorldFile) -> Option<String> {
     let making = world.making();
     match (making.numerics_version, making.subtile_nm) {
         (Some(NUMERICS_VERSION), Some(_)) => None,
         (Some(NUMERICS_VERSION), None) => Some(
-            "the file does not tell the size of its sub-tiles: pixels differ if it was not the usual one"
+            "the file does not hold the size of its sub-tiles; pixels differ if it was not the default"
                 .into(),
         ),
         (made, _) => Some(format!(
-            "made with version {} of the numerics, this program has version {NUMERICS_VERSION}: the truth is the same, pixels differ",
-            made.map_or("(not told)".into(), |v| v.to_string())
+            "made with version {} of the numerics, but this program has version {NUMERICS_VERSION}: the truth is equal, pixels differ",
+            made.map_or("(unknown)".into(), |v| v.to_string())
         )),
     }
 }
 
-/// Adds what chooses the recipe; returns whether that is a file.
+/// Adds the words that choose the recipe; returns whether they name a recipe file.
 fn recipe_words(recipe: &CheckedRecipe, words: &mut Vec<String>, file: &Path) -> bool {
     let mut add = |text: &[&str]| words.extend(text.iter().map(|w| (*w).to_owned()));
     let near = recipe.as_shipped().filter(|near| near.changes.len() <= MOST_CHANGES);
@@ -120,7 +120,7 @@ fn recipe_words(recipe: &CheckedRecipe, words: &mut Vec<String>, file: &Path) ->
     false
 }
 
-/// The options of `stemgen build` that stand for some of the library.
+/// Returns the words of `stemgen build` that set these options.
 fn options_words(options: &BuildOptions) -> Vec<String> {
     let usual = BuildOptions::default();
     let mut words = Vec::new();
@@ -170,7 +170,7 @@ fn options_words(options: &BuildOptions) -> Vec<String> {
     words
 }
 
-/// Where the recipe of a world is put beside it.
+/// Returns the path of the recipe file beside a world.
 pub fn recipe_file(world: &Path) -> PathBuf {
     world.with_extension("toml")
 }

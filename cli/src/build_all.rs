@@ -24,13 +24,13 @@ struct Target {
     name: String,
     recipe: CheckedRecipe,
     path: PathBuf,
-    /// Whether it is there.
+    /// Whether the finished world exists.
     kept: bool,
-    /// The time that is expected, in s.
+    /// The expected time in s.
     expected_s: f64,
 }
 
-/// What became of a world.
+/// The result for one world.
 #[derive(Serialize)]
 struct WorldOutcome {
     name: String,
@@ -42,16 +42,16 @@ struct WorldOutcome {
 #[derive(Serialize)]
 #[serde(tag = "outcome", rename_all = "snake_case")]
 enum WorldResult {
-    /// It was there.
+    /// It existed.
     Kept {
         file_bytes: u64,
     },
-    /// It, or a part of it, would be made.
+    /// It would be built, or a part of it.
     Planned {
         expected_s: f64,
     },
     Built(Box<Built>),
-    /// A part of it was made.
+    /// A part of it was computed.
     Part {
         wall_time_s: f64,
     },
@@ -60,7 +60,7 @@ enum WorldResult {
     },
 }
 
-/// Builds all worlds that the arguments name; the exit code tells whether an audit found one far off.
+/// Builds all worlds that the arguments name; the exit code is not 0 if an audit found an error above the limit.
 pub fn run(build: &Build, reporter: &Reporter) -> anyhow::Result<u8> {
     let mut targets = targets(build, reporter)?;
     let mut outcomes = Vec::new();
@@ -96,7 +96,7 @@ pub fn run(build: &Build, reporter: &Reporter) -> anyhow::Result<u8> {
                 ));
                 let result = one(build, target, reporter);
                 if reporter.interrupted() {
-                    return result.map(|_| 0).context("the same command goes on from there");
+                    return result.map(|_| 0).context("repeat the command to continue");
                 }
                 clock.passed(target);
                 result.unwrap_or_else(|e| {
@@ -112,7 +112,7 @@ pub fn run(build: &Build, reporter: &Reporter) -> anyhow::Result<u8> {
     let failed = outcomes.iter().filter(|o| matches!(o.result, WorldResult::Failed { .. })).count();
     if failed > 0 {
         anyhow::bail!(
-            "{failed} of {} worlds were not built; the same command tries them again",
+            "{failed} of {} worlds were not built; repeat the command to try them again",
             outcomes.len()
         );
     }
@@ -123,7 +123,7 @@ pub fn run(build: &Build, reporter: &Reporter) -> anyhow::Result<u8> {
     Ok(outcomes.iter().map(verdict).max().unwrap_or(0))
 }
 
-/// What is left to do, and how much slower this machine is than expected.
+/// The remaining time, and how much slower this machine is than expected.
 struct Clock {
     left_s: f64,
     slower: f64,
@@ -138,7 +138,7 @@ impl Clock {
         Clock { left_s, slower: 1.0, expected_s: 0.0, taken_s: 0.0, since: Instant::now() }
     }
 
-    /// A world is done.
+    /// Counts a world as done.
     fn passed(&mut self, target: &Target) {
         self.taken_s += self.since.elapsed().as_secs_f64();
         self.since = Instant::now();
@@ -148,7 +148,7 @@ impl Clock {
     }
 }
 
-/// The worlds, with those that are there already.
+/// Returns the worlds to build, and the finished ones that are kept.
 fn targets(build: &Build, reporter: &Reporter) -> anyhow::Result<Vec<Target>> {
     let folder = build.output.clone().unwrap_or_else(|| PathBuf::from("worlds"));
     if folder.is_file() {
@@ -170,12 +170,12 @@ fn targets(build: &Build, reporter: &Reporter) -> anyhow::Result<Vec<Target>> {
         targets.push(Target { name, recipe, path, kept, expected_s: 0.0 });
     }
     if targets.is_empty() {
-        reporter.warn("no recipe has this tier: nothing is built");
+        reporter.warn("no recipe has this tier; nothing is built. `stemgen list` prints the tiers");
     }
     Ok(targets)
 }
 
-/// Whether a file is the world that would be built.
+/// Whether a file holds the world that would be built.
 fn is_this(build: &Build, recipe: &CheckedRecipe, path: &Path) -> anyhow::Result<bool> {
     hdf5_check::check(path)?;
     let Ok(world) = WorldFile::open(path) else { return Ok(false) };

@@ -32,48 +32,50 @@ use stemgen::world::{
 
 const EXAMPLES: &str = "\
 Examples:
-  The central 2 x 2 tiles of the easy SrTiO3 world, with a picture beside:
+  The central 2 x 2 tiles of the easy SrTiO3 world, with a picture:
     stemgen build srtio3 --difficulty easy --grid 2x2
-  What would the whole world take?
+  Print time, memory and disk space of a whole world:
     stemgen build srtio3 --difficulty hard --dry-run
-  Another specimen of the same kind, and the noiseless image with it:
+  A new specimen of this kind; the file also holds the noise-free image:
     stemgen build srtio3 --difficulty medium --grid 4x4 --seed 7 --keep-clean -o seven.h5
-  In parts, on machines that see the same files; then the world from them:
-    stemgen build gan --difficulty hard --shard 0/4    # ... and 1/4, 2/4, 3/4
+  One world in four parts, on machines that share a file system; then the world:
+    stemgen build gan --difficulty hard --shard 0/4    # and 1/4, 2/4, 3/4
     stemgen build gan --difficulty hard
-  From a recipe of your own, with the settings of the published worlds:
+  Your own recipe, with the settings of the published worlds:
     stemgen build --recipe mine.toml --difficulty easy --profile published
-  Of atoms of your own (extended XYZ with labels of defects and phases, CIF, POSCAR): what would it take?
+  Your own atoms (extended XYZ with labels of defects and phases, CIF, POSCAR); print the plan:
     stemgen build atoms.xyz --dry-run
 
-What is done (simulations of the library, the audit, sub-tiles) is kept in the cache and in
-FILE.work until the world and its picture are complete: after Ctrl-C or a power failure the same
-command goes on from there. `stemgen glossary` explains window, mosaic, library, sub-tile and audit.
+The cache and the folder FILE.work keep finished work (simulations of the library, the audit,
+sub-tiles) until the world and its picture are complete. After Ctrl-C or a power failure, repeat the
+command: it continues. `stemgen glossary` explains window, mosaic, library, sub-tile and audit.
 
-Exit code: 0 if the world is written, 3 if it is and its audit found an error above 5 % (or --max-error), 1 on errors.";
+Exit code: 0 if the world is written, 3 if it is written but its audit found an error above 5 % (or
+above --max-error), 1 on errors.";
 
-/// Build a world: a whole annotated specimen and its image
+/// Build a world: one file with the image of a whole specimen and its ground truth
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES, mut_args(with_all))]
 pub struct Build {
     #[command(flatten)]
     pub(super) recipe: RecipeArgs,
-    /// All worlds whose recipes come with the program, or all of --materials, at --difficulty or at all tiers. What is there is
+    /// Build the worlds of all recipes of the program, or of --materials, at --difficulty or at all tiers. Finished worlds are
     /// kept; --output names a folder
-    #[arg(long, conflicts_with_all = ["material", "recipe", "hspy"])]
+    #[arg(long, conflicts_with_all = ["material", "recipe", "hspy"], help_heading = "Recipe")]
     all: bool,
-    /// With --all: only these
+    /// With --all: build the worlds of these materials only
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', requires = "all")]
+    #[arg(help_heading = "Recipe")]
     pub(super) materials: Vec<String>,
-    /// Record the field in one scan with the errors of a microscope: drift, jitter, the detector. Changes
-    /// [acquisition] of the recipe (see `stemgen acquire --help`); tiles are then what it records
-    #[arg(long, value_name = "NAME", conflicts_with = "no_noise")]
+    /// Record the field in one scan with the errors of a microscope: drift, jitter, the detector. The tiles then hold this
+    /// recording. Sets the profile of [acquisition] in the recipe (see `stemgen acquire --help`)
+    #[arg(long, value_name = "NAME", conflicts_with = "no_noise", help_heading = "Image")]
     pub(super) acquisition: Option<AcquisitionName>,
     /// Leave out the Poisson noise
-    #[arg(long)]
+    #[arg(long, help_heading = "Image")]
     pub(super) no_noise: bool,
-    /// Also store the noiseless tiles
-    #[arg(long)]
+    /// Also store the noise-free tiles
+    #[arg(long, help_heading = "Image")]
     pub(super) keep_clean: bool,
     #[command(flatten)]
     method: Method,
@@ -83,14 +85,14 @@ pub struct Build {
     /// Replace existing files
     #[arg(long, help_heading = "Results")]
     pub(super) overwrite: bool,
-    /// Also write a file for HyperSpy (.hspy), beside the file: the whole image, in fractions of the beam
+    /// Also write the whole image for HyperSpy (.hspy), beside the file, in fractions of the beam
     #[arg(long, help_heading = "Results")]
     hspy: bool,
-    /// Leave out the picture
+    /// Write no picture
     #[arg(long, help_heading = "Results")]
     no_png: bool,
-    /// Make part K (from 0) of N of what the world takes, for several processes or machines that see the same files; `slurm`: that
-    /// of a task of a job array. The same command without --shard finds all parts and writes the world
+    /// Compute part K (from 0) of N of the world, for several processes or machines that share a file system; `slurm` takes K and
+    /// N from the Slurm job array. The command without --shard then finds the parts and writes the world
     #[arg(long, value_name = "K/N|slurm", value_parser = values::shard, help_heading = "Running")]
     #[arg(conflicts_with_all = ["dry_run", "overwrite", "hspy", "max_error", "accuracy"])]
     pub(super) shard: Option<Shard>,
@@ -100,60 +102,65 @@ pub struct Build {
     force: Force,
 }
 
-/// How it is simulated.
+/// Holds the options of the method.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Method")]
 struct Method {
-    /// How images are made [default: mosaic, or window where a field is too small for it to pay]
+    /// How the image is computed [default: mosaic; window if the field is too small for a mosaic to save time]
     #[arg(long, value_name = "NAME", conflicts_with = "profile")]
     engine: Option<Engine>,
-    /// Width of the window that follows each probe, in A [default: 7.8]
+    /// Width in A of the window, the small box around each probe in which the probe is propagated [default: 7.8, wider for
+    /// mistilt, defocus and bright-field detectors]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["interpolation", "profile"])]
     window: Option<f64>,
-    /// Widen the windows, or leave the mosaic, until the audit's rms error is at most so many per cent of the mean
-    /// image; where no window does, the exact engine
+    /// Largest rms error of the audit, in per cent of the mean image. The program takes wider windows, then no mosaic, then the
+    /// exact engine, until the error is at most this
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["window", "interpolation", "profile"])]
     accuracy: Option<f64>,
-    /// Windows and mosaics: expand probes that share a window in fewer waves, each right to so many per cent of its
-    /// amplitude. `off` propagates every probe; `auto`: 1 % in 7.8 A, less in wider windows
+    /// In windows and mosaics: expand the probes that share a window in fewer waves, and propagate only these waves. The value is
+    /// the error of each probe, in per cent of its amplitude. `auto` takes 1 % in 7.8 A and less in wider windows; `off`
+    /// propagates every probe
     #[arg(long, value_name = "PERCENT|off|auto", default_value = "auto", value_parser = values::expansion)]
     #[arg(allow_negative_numbers = true, conflicts_with_all = ["interpolation", "profile"])]
     expansion: Expansion,
-    /// PRISM interpolation factor, or one for x and one for y [default: 4]
+    /// Interpolation factor of PRISM, or one for x and one for y [default: 4]
     #[arg(long, value_name = "F[,FY]", value_parser = values::factors, conflicts_with = "profile")]
     interpolation: Option<[usize; 2]>,
-    /// `published`: the coarser settings of the published worlds (PRISM, 0.05 A, slices of 1 A)
+    /// Set of engine settings. `published` has the coarser settings of the published worlds: PRISM, 0.05 A, slices of 1 A
     /// [default: default]
     #[arg(long, value_name = "NAME")]
     profile: Option<ProfileName>,
-    /// Regions that are simulated exactly beforehand, with the same atoms; the file tells the error found. 0
-    /// leaves it out; with --accuracy or --max-error at least four [default: 1 for films and mosaics, 0 for others and for mosaics
-    /// of the library that comes along, which was audited when it was made]
+    /// Number of regions of the audit, which simulates them by multislice with the same atoms and stores the error in the file.
+    /// 0 makes no audit; --accuracy and --max-error use at least four [default: 1 for films and mosaics, 0 for others and for
+    /// mosaics of the library that is installed with the program, which was audited when it was made]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=1000))]
     audit: Option<u16>,
-    /// Widen the windows, or leave the mosaic, until the audit's errors (rms at bright columns, and over all
-    /// pixels of the brightest column) are at most so many per cent; where no window does, the exact engine
+    /// Largest error of the audit, in per cent: rms at bright columns (above 40 % of the brightest column), and rms over all pixels
+    /// relative to the brightest column. The program takes wider windows, then no mosaic, then the exact engine, until both errors
+    /// are at most this
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["profile", "interpolation"])]
     max_error: Option<f64>,
     #[command(flatten)]
     kept: CacheArgs,
-    /// Largest width of a sub-tile, which is simulated at once, in nm [default: mosaic: 8; window,
+    /// Largest width in nm of a sub-tile, a part of the field that is computed at once [default: mosaic: 8; window,
     /// multislice: 4; prism: 2.5; published: 7]
     #[arg(long, value_name = "NM", value_parser = values::finite, allow_negative_numbers = true)]
+    #[arg(help_heading = "Method")]
     subtile: Option<f64>,
     /// Overlap of sub-tiles in nm [default: a quarter of the sub-tile, at most 1]
     #[arg(long, value_name = "NM", value_parser = values::finite, allow_negative_numbers = true)]
+    #[arg(help_heading = "Method")]
     subtile_overlap: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ProfileName {
-    /// Carries all scattering to the detector
+    /// Grids carry all scattering to the detector
     Default,
-    /// As the published STEMGym worlds
+    /// Settings of the published STEMGym worlds
     Published,
 }
 
@@ -181,14 +188,14 @@ pub struct Built {
     pub engine: String,
     library: Option<[usize; 2]>,
     pub audit: Option<Audit>,
-    /// Whether there is no audit because the errors are known: those of the library that comes along.
+    /// Whether the audit was left out because the errors of the installed library are known.
     audit_known: bool,
     subtiles: usize,
     subtiles_resumed: usize,
     pub wall_time_s: f64,
 }
 
-/// Has a material not needed where all are asked for.
+/// Makes MATERIAL optional with `--all`.
 fn with_all(argument: Arg) -> Arg {
     match argument.get_id() == "material" {
         true => argument.required_unless_present("all"),
@@ -197,7 +204,7 @@ fn with_all(argument: Arg) -> Arg {
 }
 
 impl Build {
-    /// Runs the subcommand; the exit code tells whether the audit found the world far off.
+    /// Runs the subcommand; the exit code is not 0 if the audit found an error above the limit.
     pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         if self.all {
@@ -223,14 +230,14 @@ impl Build {
         Ok(self.verdict(&built))
     }
 
-    /// Warns where the audit found a world far off; returns the exit code.
+    /// Warns if the audit found an error above the limit; returns the exit code.
     pub fn verdict(&self, built: &Built) -> u8 {
         let subject = built.output.display().to_string();
         let limit = self.method.max_error;
         built.audit.as_ref().map_or(0, |audit| audit_verdict::exit_code(&subject, audit, limit))
     }
 
-    /// Makes a part of a world.
+    /// Computes a part of a world.
     pub fn part(
         &self,
         (recipe, build): (&CheckedRecipe, WorldBuild),
@@ -245,7 +252,7 @@ impl Build {
         ShardReport::of(build, path, shard, reporter).map_err(|e| with_what_is_kept(e, path))
     }
 
-    /// Makes a world, and what goes beside it.
+    /// Makes a world and the files beside it.
     pub fn make(
         &self,
         (recipe, build): (&CheckedRecipe, WorldBuild),
@@ -286,7 +293,7 @@ impl Build {
         Ok(Built { hspy, ..self.built(recipe, &summary, &world, picture)? })
     }
 
-    /// What it would do and take.
+    /// Returns the plan of the build.
     pub fn planned(&self) -> anyhow::Result<WorldPlan> {
         let recipe = self.recorded(self.recipe.resolve()?)?;
         let build = WorldBuild::new(&recipe, &self.options())?;
@@ -298,7 +305,7 @@ impl Build {
         Ok(self.force.check_memory(needed, remedy, reporter)?)
     }
 
-    /// What the arguments ask for; everything else is as the library builds.
+    /// Returns the options of the build: the arguments, and the defaults of the crate.
     pub fn options(&self) -> BuildOptions {
         let m = &self.method;
         let usual = BuildOptions::default();
@@ -321,7 +328,7 @@ impl Build {
         }
     }
 
-    /// The recipe with the profile of its recording.
+    /// Sets the profile of `--acquisition` in the recipe.
     pub fn recorded(&self, recipe: CheckedRecipe) -> anyhow::Result<CheckedRecipe> {
         let Some(profile) = self.acquisition else { return Ok(recipe) };
         let mut changed = recipe.recipe().clone();
@@ -377,11 +384,11 @@ impl Build {
     }
 }
 
-/// A failure, with what an earlier run has left to go on from.
+/// Adds to an error that the work folder keeps finished work, if there is one.
 fn with_what_is_kept(error: stemgen::Error, path: &Path) -> anyhow::Error {
     let work = work_folder(path);
     let kept =
-        format!("{} keeps what is done; the same command goes on from there", work.display());
+        format!("{} keeps the finished work; repeat the command to continue", work.display());
     match (error, work.is_dir()) {
         (error @ stemgen::Error::Interrupted, true) => hinted(error, kept),
         (error, true) => {
@@ -469,7 +476,7 @@ impl Built {
                 lines.add("audit", found);
             }
         } else if self.audit_known {
-            let why = "none: the library that comes along was audited when it was made; --audit 1 makes one";
+            let why = "none: the installed library was audited when it was made; --audit 1 audits this world";
             lines.add("audit", why);
         }
         lines.add("time", text::duration(self.wall_time_s));

@@ -10,7 +10,7 @@ use super::text;
 use stemgen::files::Shard;
 use stemgen::world::{ShardSummary, WorldBuild};
 
-/// What a shard tells at its end.
+/// The report of a shard at its end.
 #[derive(Serialize)]
 pub struct ShardReport {
     output: PathBuf,
@@ -19,7 +19,7 @@ pub struct ShardReport {
 }
 
 impl ShardReport {
-    /// Makes a part of a world.
+    /// Computes a part of a world.
     pub fn of(
         build: WorldBuild,
         output: &Path,
@@ -30,12 +30,12 @@ impl ShardReport {
         Ok(ShardReport { output: output.to_owned(), summary })
     }
 
-    /// Time that it took in s.
+    /// Returns the time that the part took, in s.
     pub fn wall_time_s(&self) -> f64 {
         self.summary.wall_time_s
     }
 
-    /// Name and value, line by line.
+    /// Returns names and values, line by line.
     pub fn text(&self) -> String {
         let s = &self.summary;
         let mut lines = Lines::default();
@@ -49,17 +49,17 @@ impl ShardReport {
             lines.add("sub-tiles", format!("{} of {}{resumed}", s.subtiles, s.subtiles_of_field));
             lines.add(
                 "next",
-                "when all shards are done, the same command without --shard writes the world",
+                "when all shards are done, run the command without --shard: it writes the world",
             );
         } else {
             let lacks = text::count(s.library_lacks as u64);
             lines.add(
                 "library",
-                format!("its part is done; those of other shards lack {lacks} images"),
+                format!("this part is done; the parts of other shards still lack {lacks} images"),
             );
             lines.add(
                 "next",
-                "when they are done: this shard again for its sub-tiles, or the same command without --shard, which makes them itself",
+                "when they are done, run this shard again for its sub-tiles, or the command without --shard, which computes all sub-tiles",
             );
         }
         lines.add("time", text::duration(s.wall_time_s));

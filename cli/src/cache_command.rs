@@ -9,20 +9,24 @@ use stemgen::imaging::mosaic::library_cache::{Cache, Holding};
 
 const EXAMPLES: &str = "\
 Examples:
-  What is there, and how large it is:
+  Print the contents of the cache, and the size of each part:
     stemgen cache list
-  Take the library of a material to another machine:
+  Move the simulations of one material to another machine:
     stemgen cache export srtio3 -o srtio3.stemlib    # there: stemgen cache import srtio3.stemlib
-  Remove what belongs to one material, or all:
+  Remove the simulations of one material, or all:
     stemgen cache clear srtio3
     stemgen cache clear
 
-The cache holds the mosaic's simulations, for all worlds of a material: another seed or a larger field takes
-them from there. It lies in $STEMGEN_CACHE, else in stemgen/ of $XDG_CACHE_HOME or ~/.cache. Nothing is lost with
-it but time. Before it, simulations are looked for in the library that comes along with the program, which holds
-those of its own crystalline recipes ($STEMGEN_LIBRARY names another folder for it, or none).";
+A mosaic is an image of a large field that is put together from simulations of its columns. The
+cache keeps these simulations, so that a world with another seed or a larger field reuses them. Its
+folder is $STEMGEN_CACHE, else stemgen/ in $XDG_CACHE_HOME or ~/.cache. You may remove this folder:
+simulations are then made again, which takes time.
 
-/// List, move, check, fill or clear the simulations that worlds share
+The library is installed with the program, and holds the simulations for its own crystals and
+layers. The program reads it first, and never writes to it. $STEMGEN_LIBRARY names another folder;
+if it is empty, no library is used.";
+
+/// List, move, check, fill or clear the cached simulations that worlds share
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct CacheCommand {
@@ -32,7 +36,7 @@ pub struct CacheCommand {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Show what the cache holds, by material
+    /// Print the contents of the cache and of the installed library, by material
     List {
         /// Print as JSON
         #[arg(long)]
@@ -42,12 +46,12 @@ enum Action {
     Import(Import),
     Verify(VerifyCache),
     Fill(Fill),
-    /// Remove the simulations of a material, or all
+    /// Remove the cached simulations of one material, or of all
     Clear {
-        /// Only this material
+        /// Material whose simulations are removed [default: all]
         #[arg(value_name = "MATERIAL")]
         material: Option<String>,
-        /// Print what was removed as JSON
+        /// Print the removed simulations as JSON
         #[arg(long)]
         json: bool,
     },
@@ -57,7 +61,7 @@ enum Action {
 struct CacheReport {
     folder: Option<PathBuf>,
     materials: Vec<Holding>,
-    /// What comes along with the program; none where something was removed.
+    /// The installed library; `None` after a removal.
     library: Option<LibraryReport>,
 }
 
@@ -94,7 +98,7 @@ impl CacheCommand {
     }
 }
 
-/// Refuses a material of which the cache, and with `supplied` the library that comes along, has nothing.
+/// Refuses a material without simulations in the cache (with `supplied`, also in the installed library).
 pub fn check_known(cache: &Cache, material: Option<&str>, supplied: bool) -> anyhow::Result<()> {
     let mut held = cache.holdings()?;
     if let Some(library) = cache.supplied_library().filter(|_| supplied) {
@@ -130,7 +134,10 @@ impl CacheReport {
             lines.add("holds", "nothing");
         }
         if let Some(library) = &self.library {
-            lines.add("library", format!("{} (comes along, read only)", library.folder.display()));
+            lines.add(
+                "library",
+                format!("{} (installed with the program, read only)", library.folder.display()),
+            );
             for h in &library.materials {
                 let images = text::count(h.images as u64);
                 lines.add(h.material.clone(), format!("{images} images, {}", text::bytes(h.bytes)));

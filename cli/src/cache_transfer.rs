@@ -22,84 +22,84 @@ use stemgen::world::{BuildMethod, BuildOptions, WorldBuild};
 
 const FILL_EXAMPLES: &str = "\
 Examples:
-  What every hard world of SrTiO3 takes, whatever its seed:
+  The library of all hard worlds of SrTiO3, for any seed:
     stemgen cache fill srtio3 --difficulty hard
-  The libraries of all materials, on four machines that see the same cache:
-    stemgen cache fill --all --shard 0/4    # ... and 1/4, 2/4, 3/4";
+  The libraries of all materials, on four machines that share the cache:
+    stemgen cache fill --all --shard 0/4    # and 1/4, 2/4, 3/4";
 
 const VERIFY_EXAMPLES: &str = "\
 Examples:
-  Is every image whole?
+  Check that every image is complete:
     stemgen cache verify
-  Are they what this program would simulate? Three of them, drawn by chance, are simulated again:
+  Also simulate three random images again, and compare:
     stemgen cache verify srtio3 --difficulty hard --recompute 3 --seed 7
 
-The exit code is 3 if an image is damaged or differs.";
+Exit code: 0 if all images are complete and equal, 3 if one is damaged or differs, 1 on errors.";
 
-/// Write the simulations of a material, or all, to one file, for another machine
+/// Write the cached simulations of one material, or of all, to one file for another machine
 #[derive(Debug, Args)]
 pub struct Export {
-    /// Only this material
+    /// Material whose simulations are written [default: all]
     #[arg(value_name = "MATERIAL")]
     material: Option<String>,
     /// File to write
-    #[arg(short, long, value_name = "FILE.stemlib")]
+    #[arg(short, long, value_name = "FILE.stemlib", help_heading = "Results")]
     output: PathBuf,
     /// Replace an existing file
-    #[arg(long)]
+    #[arg(long, help_heading = "Results")]
     overwrite: bool,
     #[command(flatten)]
     common: Common,
 }
 
-/// Take the simulations of a file into the cache
+/// Add the simulations of a file to the cache
 #[derive(Debug, Args)]
 pub struct Import {
-    /// File that `cache export` wrote
+    /// File written by `stemgen cache export`
     #[arg(value_name = "FILE.stemlib")]
     file: PathBuf,
     #[command(flatten)]
     common: Common,
 }
 
-/// Check that simulations in the cache, and in the library that comes along, are whole, and what this program simulates
+/// Check the simulations in the cache and in the installed library for damage, or compare them with new ones
 #[derive(Debug, Args)]
 #[command(after_help = VERIFY_EXAMPLES)]
 pub struct VerifyCache {
-    /// Only this material; with --recompute also a recipe file of one's own
+    /// Material whose simulations are checked, or with --recompute also your own recipe file [default: all]
     #[arg(value_name = "MATERIAL|RECIPE.toml")]
     material: Option<String>,
-    /// Tier of the recipe whose simulations are made again
+    /// Tier of the recipe, for --recompute [default: all tiers]
     #[arg(long, value_name = "TIER", requires = "recompute")]
     difficulty: Option<Tier>,
-    /// Simulate so many images again, of the recipe of MATERIAL, and compare
+    /// Simulate N random images of the recipe of MATERIAL again, and compare them
     #[arg(long, value_name = "N", requires = "material", value_parser = clap::value_parser!(u16).range(1..))]
     recompute: Option<u16>,
-    /// Seed of which images are drawn
+    /// Seed of the random choice of images
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     #[command(flatten)]
     common: Common,
 }
 
-/// Simulate what the worlds of a recipe share, before any world
+/// Simulate the library of a recipe, the simulations that its worlds share, before any world is built
 #[derive(Debug, Args)]
 #[command(after_help = FILL_EXAMPLES)]
 pub struct Fill {
-    /// Materials that come with the program
+    /// Materials of the program's recipes (`stemgen list` prints them)
     #[arg(value_name = "MATERIAL", required_unless_present = "all", conflicts_with = "all")]
     materials: Vec<String>,
-    /// Of all materials
+    /// Simulate the libraries of all materials
     #[arg(long)]
     all: bool,
-    /// Only this tier [default: all tiers]
+    /// Tier whose library is simulated [default: all tiers]
     #[arg(long, value_name = "TIER")]
     difficulty: Option<Tier>,
-    /// Part K (from 0) of N of it, for several processes; `slurm`: that of a task of a job array
-    #[arg(long, value_name = "K/N|slurm", value_parser = values::shard)]
+    /// Simulate part K (from 0) of N of each library, for several processes; `slurm` takes K and N from the Slurm job array
+    #[arg(long, value_name = "K/N|slurm", value_parser = values::shard, help_heading = "Running")]
     shard: Option<Shard>,
-    /// Simulate also what the library that comes along with the program holds
-    #[arg(long)]
+    /// Also simulate the images that the installed library holds
+    #[arg(long, help_heading = "Running")]
     no_library: bool,
     #[command(flatten)]
     common: Common,
@@ -120,7 +120,7 @@ impl Export {
         let found = export(&cache, self.material.as_deref(), &self.output, &reporter)?;
         if found.added == 0 {
             reporter.warn(
-                "the cache has no simulations of this version of the program: the file holds none",
+                "the cache has no simulations of this version of the program, so the file holds none; `stemgen cache fill` makes them",
             );
         }
         let mut lines = holdings(&found);
@@ -168,19 +168,19 @@ fn holdings(found: &ArchiveSummary) -> Lines {
 struct CacheVerification {
     sound: bool,
     images: usize,
-    /// Images that come along with the program, all of them whole.
+    /// Number of images in the installed library, all of them complete.
     supplied: usize,
     damaged: Vec<CacheFault>,
     recomputed: Vec<RecomputedImage>,
 }
 
 impl VerifyCache {
-    /// Runs the subcommand; the exit code tells whether the cache is sound.
+    /// Runs the subcommand; the exit code is [`DIFFERENT`] if an image is damaged or differs.
     pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         let cache = Cache::of_user();
         let again = self.recipes()?;
-        // Of a recipe of one's own, the cache knows the id.
+        // The cache lists the images of a recipe file below the id of the recipe, not below the name of the file.
         let material = again.first().map(|recipe| &recipe.id).or(self.material.as_ref());
         let material = material.map(String::as_str);
         super::cache_command::check_known(&cache, material, true)?;
@@ -197,7 +197,7 @@ impl VerifyCache {
         let mut recomputed = Vec::new();
         if let (Some(count), Some(material)) = (self.recompute, &self.material) {
             for recipe in again.iter().cloned() {
-                // As it comes, a field may be too small for a library to pay.
+                // In a small field a library saves no time, so that the automatic choice would use none.
                 let shares = recipe.structure != StructureKind::Particles;
                 let method = if shares { BuildMethod::Mosaic } else { BuildMethod::Auto };
                 let Some(library) = build_of(recipe, &cache, method)?.library()? else { continue };
@@ -219,7 +219,7 @@ impl VerifyCache {
         Ok(if sound { 0 } else { DIFFERENT })
     }
 
-    /// The recipes whose images are made again: those of a material, or of a file.
+    /// Returns the recipes whose images are simulated again: the recipes of a material, or of a file.
     fn recipes(&self) -> anyhow::Result<Vec<Recipe>> {
         let Some(name) = self.material.as_ref().filter(|_| self.recompute.is_some()) else {
             return Ok(Vec::new());
@@ -247,7 +247,7 @@ impl CacheVerification {
         lines.add("whole", format!("{whole} of {} images", text::count(self.images as u64)));
         if self.supplied > 0 {
             let all = text::count(self.supplied as u64);
-            lines.add("library", format!("{all} images that come along, all whole"));
+            lines.add("library", format!("{all} images of the installed library, all whole"));
         }
         for fault in &self.damaged {
             lines.add(
@@ -276,7 +276,7 @@ struct Filled {
     world: String,
     images: usize,
     simulated: usize,
-    /// What the parts of other processes still lack.
+    /// Number of images that the parts of other processes still have to simulate.
     lacking: usize,
 }
 
@@ -304,7 +304,8 @@ impl Fill {
             filled.push(Filled { world, images, simulated, lacking });
         }
         if filled.is_empty() {
-            reporter.warn("worlds of these recipes share no simulations: there is nothing to fill");
+            reporter
+                .warn("worlds of these recipes share no simulations, so the cache stays unchanged");
         }
         let mut lines = Lines::default();
         if filled.is_empty() {
@@ -329,7 +330,7 @@ impl Fill {
     }
 }
 
-/// The build of a world.
+/// Returns the build of a world, with this cache.
 fn build_of(recipe: Recipe, cache: &Cache, method: BuildMethod) -> stemgen::Result<WorldBuild> {
     let options = BuildOptions { cache: cache.clone(), method, ..BuildOptions::default() };
     WorldBuild::new(&recipe.checked()?, &options)

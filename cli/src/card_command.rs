@@ -19,37 +19,37 @@ use stemgen::render::{Overlay, WorldPart, WorldPicture};
 
 /// Longest side of a picture in pixels.
 const PICTURE: u32 = 700;
-/// Of a wider field a part is drawn too: its columns are too small for rings, in nm.
+/// Edge in nm above which a part of the field is drawn too, since columns are then too small for rings.
 const WIDE_NM: f64 = 17.5;
-/// Edge of that part in nm.
+/// Edge of this part in nm.
 const PART_NM: f64 = 8.0;
-/// The program that makes worlds again, whatever this one is called: the card is the same.
+/// Name of the program in commands. A fixed name keeps the card independent of the name of this program.
 const PROGRAM: &str = "stemgen";
 
 const EXAMPLES: &str = "\
 Examples:
-  The card of all worlds of a folder, in it:
+  The card of all worlds of a folder, written into the folder:
     stemgen card released/
-  A folder for a data hub, from worlds that lie elsewhere, which are copied:
+  A folder for a data hub, with copies of worlds from elsewhere:
     stemgen card worlds/srtio3_*.h5 -o srtio3-worlds/ --title 'SrTiO3 with oxygen vacancies' \\
       --license CC-BY-4.0 --creator 'A. Person' --url https://example.org/srtio3 --date 2026-11-23
 
-README.md is for people, and its head for the hub; croissant.json (Croissant 1.1 with RAI fields)
-is for programs. Beside them lie worlds.csv, and of each world its columns, defects and particles as
-CSV, a picture, and its recipe where the command that makes it again needs it. The same worlds and
-options make the same bytes.";
+A card is the description of a data set. README.md is for people, and data hubs read its head;
+croissant.json (Croissant 1.1 with RAI fields) is for programs. worlds.csv lists the worlds. Each
+world has its columns, defects and particles as CSV, a picture, and its recipe if the command that
+makes the world again reads a recipe file. Equal worlds and options make identical bytes.";
 
-/// Write the card of a folder of worlds, ready for a data hub: README, Croissant, tables, pictures
+/// Prepare worlds for a data hub: write a README, a Croissant file, tables and pictures
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct CardCommand {
-    /// Folder with world files (.h5), or world files
+    /// Folder with world files (.h5), or the world files
     #[arg(value_name = "FOLDER|WORLD.h5", required = true)]
     worlds: Vec<PathBuf>,
-    /// Folder to write to; worlds that lie elsewhere are copied there [default: the FOLDER itself]
+    /// Folder to write to. Worlds from other folders are copied to it [default: FOLDER]
     #[arg(short, long, value_name = "FOLDER", help_heading = "Results")]
     output: Option<PathBuf>,
-    /// Replace files that are there and are none of an earlier card
+    /// Replace existing files that do not belong to an earlier card
     #[arg(long, help_heading = "Results")]
     overwrite: bool,
     #[command(flatten)]
@@ -58,35 +58,35 @@ pub struct CardCommand {
     common: Common,
 }
 
-/// What only the publisher knows.
+/// Holds the statements that only the publisher can make.
 #[derive(Debug, Args)]
-#[command(next_help_heading = "What the card says")]
+#[command(next_help_heading = "Statements on the card")]
 struct Said {
-    /// Title [default: the name of the folder]
+    /// Title of the data set [default: the name of the folder]
     #[arg(long, value_name = "TEXT")]
     title: Option<String>,
-    /// What it is, before what the files tell
+    /// Description of the data set; it stands before the statements that the program reads from the files
     #[arg(long, value_name = "TEXT")]
     description: Option<String>,
-    /// Licence of the data: a name of SPDX such as CC-BY-4.0, or an address; none is assumed
+    /// Licence of the data: an SPDX name such as CC-BY-4.0, or an address [default: none]
     #[arg(long, value_name = "NAME|URL", value_parser = DataLicense::parse)]
     license: Option<DataLicense>,
-    /// A person who made it; may be given several times
+    /// Person who made the data set (repeatable)
     #[arg(long, value_name = "NAME")]
     creator: Vec<String>,
-    /// An organization that made it; may be given several times
+    /// Organization that made the data set (repeatable)
     #[arg(long, value_name = "NAME")]
     organization: Vec<String>,
-    /// Address of its page
+    /// Address of the page of the data set
     #[arg(long, value_name = "URL")]
     url: Option<String>,
-    /// Day of its publication, as 2026-11-23; no clock is asked
+    /// Day of publication, such as 2026-11-23 [default: none; the clock is not used]
     #[arg(long, value_name = "DATE")]
     date: Option<String>,
-    /// Its version
+    /// Version of the data set
     #[arg(long, value_name = "X.Y.Z", default_value = "1.0.0")]
     data_version: String,
-    /// How it is cited
+    /// Citation of the data set
     #[arg(long, value_name = "TEXT")]
     cite: Option<String>,
 }
@@ -125,7 +125,7 @@ impl CardCommand {
             if reporter.interrupted() {
                 return Err(Error::Interrupted.into());
             }
-            // All of them before anything is written.
+            // Every world is checked before the first file is written, so that a damaged one leaves the folder unchanged.
             hdf5_check::check(&path)?;
             worlds.push(card_world(&WorldFile::open(&path)?)?);
         }
@@ -142,7 +142,7 @@ impl CardCommand {
         self.common.print(&summary, &summary_text(&summary, worlds.len()))
     }
 
-    /// The world files.
+    /// Returns the world files.
     fn files(&self) -> stemgen::Result<Vec<PathBuf>> {
         let mut files = Vec::new();
         for path in &self.worlds {
@@ -154,7 +154,7 @@ impl CardCommand {
         Ok(files)
     }
 
-    /// Where the card goes.
+    /// Returns the folder of the card.
     fn folder(&self) -> anyhow::Result<PathBuf> {
         match (&self.output, &self.worlds[..]) {
             (Some(out), _) if out.is_file() => {
@@ -166,16 +166,18 @@ impl CardCommand {
                 Err(Error::io(one, "read", std::io::ErrorKind::NotFound.into()).into())
             }
             (None, [one]) => bail!(
-                "{}: is no folder; name one, or where the card goes with --output, such as {}",
+                "{}: is no folder; name a folder, or give --output for the folder of the card, such as --output {}",
                 one.display(),
                 folder(one).join("card").display()
             ),
-            (None, _) => bail!("several were named: say where the card goes with --output"),
+            (None, _) => bail!(
+                "several files or folders are named; give --output for the folder of the card"
+            ),
         }
     }
 }
 
-/// A world, with the command that makes it again.
+/// Reads a world, and finds the command that makes it again.
 fn card_world(file: &WorldFile) -> stemgen::Result<CardWorld> {
     let mut world = CardWorld::of(file)?;
     let (recipe, output) = (CardWorld::recipe_path(&world.name), world.file_name());
@@ -186,7 +188,7 @@ fn card_world(file: &WorldFile) -> stemgen::Result<CardWorld> {
     Ok(world)
 }
 
-/// The whole field, and a part of a wide one.
+/// Draws the whole field, and a part of it if the field is wide.
 fn pictures(file: &WorldFile, world: &CardWorld) -> stemgen::Result<CardPictures> {
     let [height, width] = file.shape();
     let pixel_nm = world.facts.pixel_size_nm;
@@ -209,7 +211,7 @@ fn pictures(file: &WorldFile, world: &CardWorld) -> stemgen::Result<CardPictures
     Ok(CardPictures { whole, part: Some((caption, part)) })
 }
 
-/// The particle or the defect that is nearest to the centre of the field, (x, y) in nm; the centre where there is none.
+/// Returns the place of the particle or the defect that is nearest to the centre of the field, (x, y) in nm; the centre if there is none.
 fn place_of_interest(file: &WorldFile, world: &CardWorld) -> stemgen::Result<[f64; 2]> {
     let [height, width] = world.facts.fov_nm;
     let centre = [0.5 * width, 0.5 * height];
@@ -226,7 +228,7 @@ fn place_of_interest(file: &WorldFile, world: &CardWorld) -> stemgen::Result<[f6
     Ok(nearest.unwrap_or(centre))
 }
 
-/// Some pixels with all that is known of them, as a PNG.
+/// Draws a part of the field with its ground truth, as a PNG.
 fn picture(file: &WorldFile, world: &CardWorld, part: WorldPart) -> stemgen::Result<Vec<u8>> {
     let facts = &world.facts;
     let lines = facts.grain_boundaries + facts.phase_boundaries;

@@ -7,47 +7,48 @@ use stemgen::engine::check_memory;
 use stemgen::imaging::Cache;
 use stemgen::progress::Progress;
 
-/// Running and reporting.
+/// Holds the options for running and reporting.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Running")]
 pub struct Common {
-    /// Number of threads; all processors by default. The result is the same for any number
+    /// Number of threads [default: all processors]. The result does not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
     pub threads: Option<u16>,
-    /// Show what would be done, and what it would take, and stop
+    /// Print the plan (inputs, sizes, time, memory) and stop; write nothing
     #[arg(long)]
     pub dry_run: bool,
     /// Print the summary, or the plan of --dry-run, as JSON on standard output
     #[arg(long)]
     pub json: bool,
-    /// Print nothing but errors (and what --json asks for)
+    /// Print errors only, and the JSON of --json
     #[arg(short, long)]
     pub quiet: bool,
 }
 
-/// What is refused otherwise.
+/// Allows a run that needs more memory than is free.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Running")]
 pub struct Force {
-    /// Go on though more memory is needed than is free
+    /// Continue with a warning if the run needs more memory than is free
     #[arg(long)]
     force: bool,
 }
 
-/// What is not simulated again.
+/// Chooses where cached simulations are read and stored.
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Running")]
 pub struct CacheArgs {
-    /// Neither read nor keep the mosaic's simulations in the cache (see `stemgen cache`)
+    /// Do not use the cache, which keeps simulations of columns for later worlds (see `stemgen cache`)
     #[arg(long)]
     no_cache: bool,
-    /// Take no simulations from the library that comes along with the program; with --no-cache too, all are made
+    /// Do not use the library, the simulations of columns that are installed with the program. With --no-cache, everything is
+    /// simulated
     #[arg(long)]
     no_library: bool,
 }
 
 impl CacheArgs {
-    /// Where simulations are found and kept.
+    /// Returns the cache and library that the options choose.
     pub fn cache(&self) -> Cache {
         let cache = if self.no_cache { Cache::supplied() } else { Cache::of_user() };
         if self.no_library { cache.without_supplied() } else { cache }
@@ -55,7 +56,7 @@ impl CacheArgs {
 }
 
 impl Force {
-    /// Refuses, or with `--force` warns of, what needs more memory than is free. `remedy` takes less.
+    /// Refuses a run that needs more memory than is free, or warns of it with `--force`. `remedy` says how to need less.
     pub fn check_memory(
         &self,
         needed_bytes: u64,
@@ -73,7 +74,7 @@ impl Force {
 }
 
 impl Common {
-    /// Sets the number of threads.
+    /// Starts the threads, and returns the reporter of progress.
     pub fn start(&self) -> anyhow::Result<Reporter> {
         let threads = self.threads.map_or(0, usize::from);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
@@ -81,7 +82,7 @@ impl Common {
         Ok(Reporter::new(self.quiet))
     }
 
-    /// Prints the summary as asked for.
+    /// Prints the summary as text or as JSON, or nothing with `--quiet`.
     pub fn print(&self, json: &impl serde::Serialize, text: &str) -> anyhow::Result<()> {
         match (self.json, self.quiet) {
             (true, _) => super::text::print(&serde_json::to_string_pretty(json)?),

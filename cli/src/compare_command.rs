@@ -13,33 +13,34 @@ use stemgen::validate::worlds::{DEFAULT_ALPHA, Sameness, WorldComparison, compar
 
 const EXAMPLES: &str = "\
 Examples:
-  A world that you built again, with another seed, against a released one; writes compare.html:
+  Compare a world that you built again, with another seed, with a released one (compare.html):
     stemgen compare worlds/srtio3_easy_2x2.h5 released.h5
-  For a script:
+  In a script: print JSON, and the exit code:
     stemgen compare a.h5 b.h5 --json --quiet -o a_b.html; echo $?
 
-Every line has a test: t of a difference of rates, the two-sample Kolmogorov-Smirnov distance, the
-largest difference of the power spectra. Fields of the same pixels are compared block by block,
-others by all their blocks. A line is `different` where chance would do as much so rarely that all
-lines together call worlds of one kind different at the rate --alpha.
+The report has one line for each property. A test decides each line: t for a difference of rates,
+the two-sample Kolmogorov-Smirnov distance for distributions, the largest difference for power
+spectra. Fields with equal pixels are compared block by block, other fields by all their blocks. A
+line is `different` if chance explains its difference so rarely that, for all lines together, two
+worlds of one kind are called different at the rate --alpha.
 
-Exit code: 0 if nothing differs, 3 if something does, 1 on errors.";
+Exit code: 0 if no line differs, 3 if one does, 1 on errors.";
 
-/// Compare two worlds by their statistics
+/// Decide by statistics whether two worlds show one kind of specimen
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Compare {
-    /// World file
+    /// First world file
     #[arg(value_name = "A.h5")]
     a: PathBuf,
-    /// World file
+    /// Second world file
     #[arg(value_name = "B.h5")]
     b: PathBuf,
-    /// How often worlds of one kind may be called different
+    /// Rate at which two worlds of one kind may be called different, for all lines together
     #[arg(long, value_name = "P", default_value_t = DEFAULT_ALPHA, value_parser = values::finite)]
     #[arg(allow_negative_numbers = true)]
     alpha: f64,
-    /// Report to write
+    /// Report to write (HTML)
     #[arg(short, long, value_name = "FILE.html", default_value = "compare.html")]
     #[arg(help_heading = "Results")]
     output: PathBuf,
@@ -50,7 +51,7 @@ pub struct Compare {
     common: Common,
 }
 
-/// As `--json` prints it.
+/// The summary that `--json` prints.
 #[derive(Serialize)]
 struct CompareSummary<'a> {
     summary: String,
@@ -62,7 +63,7 @@ struct CompareSummary<'a> {
 }
 
 impl Compare {
-    /// Runs the subcommand; the exit code tells the verdict.
+    /// Runs the subcommand; the exit code is [`DIFFERENT`] if a line differs.
     pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         hdf5_check::check(&self.a)?;

@@ -1,20 +1,20 @@
-//! What is said when the program dies while it reads a stranger's file.
+//! Message of a program that dies while it reads a file of another program.
 //!
-//! A few damaged files make the HDF5 library (1.10.8) read or write beyond its own memory. Whether that ends the process depends on
-//! what lies there, so a file may pass the process that reads it first ([`super::hdf5_check`]) and end the one that reads it next.
-//! That one still names the file, and ends with an error's exit code.
+//! A few damaged files make the HDF5 library (1.10.8) read or write beyond its own memory. Whether this ends the process depends on
+//! the contents of that memory. So a file may pass the process that reads it first ([`super::hdf5_check`]), and end the process that
+//! reads it next. The second process then prints the name of the file, and ends with the exit code of an error.
 
 use std::ffi::CString;
 use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicPtr, Ordering};
 
-/// The words, once there are any.
+/// The message; null until a file is named.
 static WORDS: AtomicPtr<CString> = AtomicPtr::new(std::ptr::null_mut());
-/// The files that they name.
+/// The files that the message names.
 static FILES: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
-/// Has the program say that `file` is damaged if it dies from now on.
+/// Has the program print that `file` is damaged if it dies from now on.
 pub fn name(file: &Path) {
     let Ok(mut files) = FILES.lock() else { return };
     files.push(format!("{}", file.display()));
@@ -23,7 +23,7 @@ pub fn name(file: &Path) {
         files.join(" or ")
     );
     let Ok(words) = CString::new(words) else { return };
-    // They stay to the end: a handler may read them at any time.
+    // The message is never freed, since a handler may read it at any time.
     WORDS.store(Box::leak(Box::new(words)), Ordering::Release);
     #[cfg(unix)]
     if files.len() == 1 {
@@ -36,7 +36,7 @@ mod unix {
     use crate::crash_note::WORDS;
     use std::sync::atomic::Ordering;
 
-    /// What a process dies of that read or wrote where it should not.
+    /// Signals that end a process after a read or write in wrong memory.
     const DEADLY: [i32; 5] =
         [libc::SIGSEGV, libc::SIGBUS, libc::SIGABRT, libc::SIGFPE, libc::SIGILL];
 
@@ -54,7 +54,7 @@ mod unix {
     }
 
     extern "C" fn speak(_: i32) {
-        // SAFETY: the words were leaked; see `listen` for the rest.
+        // SAFETY: the message was leaked, so it is valid for ever. `listen` explains why the two calls are allowed here.
         unsafe {
             if let Some(words) = WORDS.load(Ordering::Acquire).as_ref() {
                 let bytes = words.as_bytes();

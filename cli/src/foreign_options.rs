@@ -1,8 +1,8 @@
-//! What other programs have under these names: where it is here, or what comes nearest.
+//! Advice for options and detectors of other programs: the equivalent in this program, or the nearest way.
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
-/// Words of options and detectors, and what to say of them.
+/// Names of options and detectors of other programs, with the advice for each.
 const NOT_OFFERED: [(&[&str], &str); 5] = [
     (
         &["4d", "4dstem", "4d-stem", "pixelated", "cbed", "diffraction", "ptychography"],
@@ -10,36 +10,37 @@ const NOT_OFFERED: [(&[&str], &str); 5] = [
     ),
     (
         &["segmented", "segments", "dpc", "idpc", "com", "icom", "quadrant", "df4"],
-        "segments, DPC and centre of mass are made of diffraction patterns: `stemgen patterns`, then `stemgen integrate \
+        "segments, DPC and centre of mass are computed from diffraction patterns: `stemgen patterns`, then `stemgen integrate \
          FILE.emd --sectors 0-21:4 --com --icom`",
     ),
     (
         &["tilt", "mistilt", "beam-tilt"],
-        "a tilt of beam or specimen is not offered; turn the atoms before (ASE: atoms.rotate), or take another --zone",
+        "--tilt X,Y of `stemgen simulate` and `stemgen patterns` tilts the specimen (mrad, up to 20); worlds: --set \
+         optics.mistilt_mrad=[X,Y]. For larger angles take another --zone, or rotate the atoms before (ASE: atoms.rotate)",
     ),
     (
         &["eels", "edx", "eds"],
-        "spectra are not offered; HAADF images tell elements by their brightness, and the file holds the atoms",
+        "the program simulates no spectra; HAADF images distinguish elements by their brightness, and the file lists the atoms",
     ),
     (
         &["gpu", "cuda", "device"],
-        "there is no version for GPUs; --threads says how many processors compute",
+        "the program does not use GPUs; --threads sets the number of processors",
     ),
 ];
 
-/// What to say of an option or a detector that looks like one of those.
+/// Returns the advice for an option or a detector of another program.
 pub fn foreign_options(word: &str) -> Option<&'static str> {
     let word = word.trim_start_matches('-').to_ascii_lowercase().replace('_', "-");
     let word = word.split('=').next().unwrap_or_default();
     NOT_OFFERED.iter().find(|(words, _)| words.contains(&word)).map(|(_, advice)| *advice)
 }
 
-/// An error of the command line without advice that misleads, and with what is not offered.
+/// Removes misleading advice from an error of the command line, and adds the advice for options of other programs.
 pub fn advised(mut error: clap::Error) -> clap::Error {
     if error.kind() != ErrorKind::UnknownArgument {
         return error;
     }
-    // "to pass '--dose' as a value, use '-- --dose'": nobody means that.
+    // clap suggests "to pass '--dose' as a value, use '-- --dose'", which is never the intention.
     error.remove(ContextKind::Suggested);
     let word = match error.get(ContextKind::InvalidArg) {
         Some(ContextValue::String(word)) => word.clone(),

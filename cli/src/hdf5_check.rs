@@ -1,8 +1,8 @@
-//! HDF5 files of strangers are first read through by a process of their own.
+//! A separate process reads every HDF5 file of another program through before this one opens it.
 //!
-//! The HDF5 library does not come back from some damaged files: it hangs, dies, or takes all memory. The program therefore starts
-//! itself once more for a file that it did not write just now; that process reads what the file holds and ends. If it ends in
-//! order, the program opens the file and says itself what is wrong with it, if anything is.
+//! With some damaged files the HDF5 library hangs, dies, or takes all memory. So for a file that it has not just written, the program
+//! starts itself once more. The second process reads the contents of the file and ends. If it ends without a fault, the program
+//! opens the file, and reports errors of the contents itself.
 
 use super::crash_note;
 use super::invocation::Invocation;
@@ -13,18 +13,18 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 use stemgen::{Error, io};
 
-/// First argument of the process that reads through the file in the second.
+/// First argument of the process that reads a file through; the second is the file.
 const READ_THROUGH: &str = "hdf5-read-through";
-/// Processor time that it may take: so many seconds ...
+/// Processor time in s that this process may take for an empty file ...
 const SECONDS: u64 = 4;
-/// ... and one more for so many bytes of the file.
+/// ... and the bytes of the file for which it may take one second more.
 const BYTES_PER_SECOND: u64 = 20_000_000;
-/// Addresses that it may take.
+/// Address space in bytes that it may take.
 const MEMORY_BYTES: u64 = 2 << 30;
-/// How long to wait before looking whether it has ended, at first and at most.
+/// Pause between two looks whether the process has ended: the first, and the longest.
 const LOOKS: [Duration; 2] = [Duration::from_micros(500), Duration::from_millis(20)];
 
-/// Where this process was started for nothing but that, does it.
+/// Reads a file through if this process was started to do so, and returns its exit code.
 pub fn serve(arguments: &[OsString]) -> Option<u8> {
     let [word, file, ..] = arguments else { return None };
     if word != OsStr::new(READ_THROUGH) {
@@ -32,12 +32,12 @@ pub fn serve(arguments: &[OsString]) -> Option<u8> {
     }
     let file = Path::new(file);
     limit(file);
-    // Whoever opens the file next tells what is wrong with it.
+    // The process that opens the file next reports its errors.
     let _ = io::read_through(file);
     Some(0)
 }
 
-/// Limits what this process may take, and has it end with the one that started it.
+/// Limits the time and memory of this process, and ends it with the process that started it.
 fn limit(file: &Path) {
     #[cfg(unix)]
     {
@@ -49,7 +49,7 @@ fn limit(file: &Path) {
             (Resource::As, MEMORY_BYTES),
         ];
         for (resource, most) in limits {
-            // A limit that is lower already stays.
+            // The call fails if the limit is lower already, which is good enough.
             let _ = setrlimit(resource, Rlimit { current: Some(most), maximum: Some(most) });
         }
         #[cfg(target_os = "linux")]
@@ -60,8 +60,8 @@ fn limit(file: &Path) {
     let _ = file;
 }
 
-/// Fails if reading through an HDF5 file ends the process that does it. Files of other kinds, and those that are not there, are
-/// left to their readers.
+/// Fails if reading an HDF5 file through ends the process that does it. Files of other kinds and missing files pass; their readers
+/// report them.
 ///
 /// # Errors
 /// [`Error::Parse`] naming the file; [`Error::Interrupted`].
@@ -71,10 +71,10 @@ pub fn check(file: &Path) -> stemgen::Result<()> {
     Ok(())
 }
 
-/// The same check for a process that is not this program alone, and whose signals are not its own.
+/// Checks a file in a process that this program shares with another, such as Python, and whose signals it must not handle.
 ///
 /// # Errors
-/// As there.
+/// [`Error::Parse`] naming the file; [`Error::Interrupted`].
 pub fn survive(file: &Path) -> stemgen::Result<()> {
     if !file.is_file() {
         return Ok(());
@@ -101,7 +101,7 @@ pub fn survive(file: &Path) -> stemgen::Result<()> {
     }
 }
 
-/// How a process ended; `None` where the user asked to stop.
+/// Waits for a process, and returns its status; `None` if the user asked to stop.
 fn wait(mut child: Child) -> std::io::Result<Option<ExitStatus>> {
     let mut pause = LOOKS[0];
     loop {
@@ -109,7 +109,7 @@ fn wait(mut child: Child) -> std::io::Result<Option<ExitStatus>> {
             return Ok(if signals::asked_to_stop() { None } else { Some(status) });
         }
         if signals::asked_to_stop() {
-            // It may have ended meanwhile.
+            // The call fails if the process has ended meanwhile, and then it needs no signal.
             let _ = child.kill();
             child.wait()?;
             return Ok(None);
@@ -119,7 +119,7 @@ fn wait(mut child: Child) -> std::io::Result<Option<ExitStatus>> {
     }
 }
 
-/// What the end of the process says of the file.
+/// Describes the fault of the file that the end of the process shows.
 fn said(status: ExitStatus) -> String {
     #[cfg(unix)]
     {

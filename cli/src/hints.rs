@@ -1,4 +1,4 @@
-//! Errors on standard error, with a hint where that helps.
+//! Errors on standard error, with a hint if one helps.
 
 use super::{signals, text};
 use stemgen::simulation::Warning;
@@ -7,12 +7,12 @@ use stemgen::{Error, Setting};
 /// Exit code of a failure.
 const FAILURE: u8 = 1;
 
-/// A failure together with what to do about it.
+/// An error, with advice.
 #[derive(Debug)]
 pub struct Hinted {
-    /// What went wrong.
+    /// The error.
     pub source: anyhow::Error,
-    /// What to do.
+    /// The advice.
     pub hint: String,
 }
 
@@ -24,7 +24,7 @@ impl std::fmt::Display for Hinted {
 
 impl std::error::Error for Hinted {}
 
-/// An error with a hint of its own.
+/// Adds a hint to an error.
 pub fn hinted(source: impl Into<anyhow::Error>, hint: impl Into<String>) -> anyhow::Error {
     anyhow::Error::new(Hinted { source: source.into(), hint: hint.into() })
 }
@@ -37,7 +37,7 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> u8 {
     };
     let known = error.chain().find_map(|e| e.downcast_ref::<Error>());
     let hint = own.or_else(|| known.and_then(of));
-    // Errors that name an option, or the line of a file, say what to do themselves.
+    // Errors that name an option or the line of a file contain the advice already.
     let message = whole_text(error);
     let advises = matches!(known, Some(Error::Parse { .. })) || message.contains("--");
     let fallback =
@@ -61,7 +61,7 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> u8 {
     }
 }
 
-/// An error and its causes, each said once: some tell their cause themselves.
+/// Returns the text of an error and of its causes. A cause that the error's text contains is not repeated.
 fn whole_text(error: &anyhow::Error) -> String {
     let mut whole_text = error.to_string();
     for cause in error.chain().skip(1).map(|cause| cause.to_string()) {
@@ -72,26 +72,26 @@ fn whole_text(error: &anyhow::Error) -> String {
     whole_text
 }
 
-/// What would mend an error of the library.
+/// Returns the hint for an error of the library.
 pub fn of(error: &Error) -> Option<String> {
     match error {
         Error::Io { source, action, .. } => io_hint(source, action).map(str::to_owned),
         Error::Set { .. } => {
-            Some("`stemgen show-recipe` with the same MATERIAL prints all keys and values".into())
+            Some("`stemgen show-recipe` with this MATERIAL prints all keys and values".into())
         }
         Error::DiskSpace { .. } | Error::Locked { .. } => {
             Some("--output names another place".into())
         }
         Error::Memory { .. } => Some(
-            "--window (or --engine window of `stemgen build`), --threads and, for audits, --size or --audit 0 take less; --force goes on all the same".into(),
+            "--window (or --engine window of `stemgen build`), fewer --threads and, for audits, --size or --audit 0 need less; --force continues anyway".into(),
         ),
         Error::UnknownElement(_) => Some("elements H to Lr can be simulated".into()),
         Error::Invalid { setting, .. } | Error::Choice { setting, .. } => {
             Some(format!("see {}", options(*setting)?))
         }
         Error::DetectorBeyondBandLimit { needed_angstrom, .. } => Some(format!(
-            "--sampling {:.4} (or no --sampling at all) carries it; --allow-empty-angles goes on \
-             with that part of the detector empty",
+            "--sampling {:.4} (or no --sampling) carries it; --allow-empty-angles continues \
+             with this part of the detector empty",
             floored(*needed_angstrom)
         )),
         Error::Hdf5 { .. } => Some("is the disk full, or the file open elsewhere?".into()),
@@ -100,7 +100,7 @@ pub fn of(error: &Error) -> Option<String> {
     }
 }
 
-/// Rounded down to four digits, so that what is printed is fine enough.
+/// Rounds a sampling down to four digits, so that the printed value is fine enough.
 fn floored(sampling: f64) -> f64 {
     (sampling * 1e4).floor() * 1e-4
 }
@@ -117,7 +117,7 @@ fn io_hint(source: &std::io::Error, action: &str) -> Option<&'static str> {
     }
 }
 
-/// A warning, with the option that it is about.
+/// Returns the text of a warning, with the option that changes its setting.
 pub fn with_option(warning: &Warning) -> String {
     match warning.setting.and_then(options) {
         Some(option) => format!("{}; see {option}", warning.message),
@@ -125,8 +125,8 @@ pub fn with_option(warning: &Warning) -> String {
     }
 }
 
-/// The options that mend a setting of the library, if there are any. Exhaustive, so that the compiler
-/// finds a setting that was forgotten.
+/// Returns the options that change a setting of the library, if there are any. The match is exhaustive, so that the compiler finds a
+/// setting without an entry.
 pub fn options(setting: Setting) -> Option<&'static str> {
     use Setting as S;
     match setting {
@@ -150,8 +150,8 @@ pub fn options(setting: Setting) -> Option<&'static str> {
         S::Zone => Some("--zone and --up, and --max-strain PERCENT"),
         S::MaxStrain => Some("--max-strain"),
         S::Cell => Some(
-            "--zone u,v,w and --up, which build such a box; --zone 0,0,1 looks along the cell's c axis; --max-strain PERCENT makes \
-             nearly right angles right",
+            "--zone u,v,w and --up, which build a right-angled box; --zone 0,0,1 looks along the cell's c axis; --max-strain PERCENT strains \
+             nearly right angles to 90 degrees",
         ),
         S::Up => Some("--up"),
         S::Repeat | S::SupercellAtoms => Some("--repeat"),
@@ -204,11 +204,11 @@ pub fn options(setting: Setting) -> Option<&'static str> {
         S::Output => Some("--output and --overwrite"),
         S::CleanImage => Some("--keep-clean of `stemgen build`"),
         S::DataSet => Some("--dataset NAME, which chooses one"),
-        S::ImageAxes => Some("--axes xy or --axes yx; leave it out where the file tells the order"),
+        S::ImageAxes => Some("--axes xy or --axes yx; leave it out if the file states the order"),
         S::ImageIndex => Some("--index"),
         S::ImageUnits => Some("--units percent and --units fitted"),
         S::ReplayPixelNm => Some("--pixel-size NM, and --calibrate NM, which measures it"),
-        S::ReplaySpacingNm => Some("--calibrate NM, and --pixel-size NM where to begin"),
+        S::ReplaySpacingNm => Some("--calibrate NM, and --pixel-size NM for the first guess"),
         S::ReplayImage => Some("--dataset NAME and --index N, which choose another"),
         S::WorldFile => Some(
             "`stemgen build`, which writes worlds; `stemgen simulate` draws its images with --png and --html",
@@ -218,7 +218,7 @@ pub fn options(setting: Setting) -> Option<&'static str> {
         S::LongestSidePixels => Some("--size"),
         S::Colormap => Some("--colormap"),
         S::ContrastPercentiles => Some("--contrast"),
-        S::Case => Some("--case, and --list for what there is"),
+        S::Case => Some("--case; --list prints the cases"),
         S::Alpha => Some("--alpha"),
         S::MostDose => Some("--most-dose"),
         S::Recordings => Some("--dose-series"),

@@ -1,10 +1,10 @@
-//! What recordings and tiles of a recipe take, in words.
+//! The plan of recordings and tiles of a recipe as text.
 
 use super::plan_text::{self, Lines};
 use super::text;
 use stemgen::world::ImagePlan;
 
-/// Adds the library that has to be filled, memory and time.
+/// Adds the simulations that the library lacks, memory and time.
 pub fn add(plan: &ImagePlan, lines: &mut Lines) {
     match &plan.library {
         Some(library) if library.missing == 0 => {
@@ -20,12 +20,12 @@ pub fn add(plan: &ImagePlan, lines: &mut Lines) {
             );
             lines.add("library", words);
         }
-        None => lines.add("library", "none: the pixels are simulated as they are asked for"),
+        None => lines.add("library", "none: pixels are simulated when they are needed"),
     }
     plan_text::costs(&plan.plan, lines);
 }
 
-/// The last line of a plan.
+/// Adds the last line of a plan.
 pub fn output(path: &std::path::Path, lines: &mut Lines) {
     lines.add("output", format!("{} (nothing was simulated or written)", path.display()));
 }

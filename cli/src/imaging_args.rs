@@ -1,4 +1,4 @@
-//! Options of the microscope and of the engine: what is given goes into a request, which has the defaults.
+//! Options of the microscope and of the engine. Given options go into a request, which holds the defaults.
 
 use super::values::{
     self, EngineName, NumberSeries, ParametrizationName, ProbeBoxName, ProjectionName,
@@ -10,129 +10,126 @@ use stemgen::engine::{Expansion, Phonons, ProbeStep, Settings};
 use stemgen::optics::Aberration;
 use stemgen::simulation::{Engine, MicroscopeRequest, NumericsRequest};
 
-/// The microscope.
+/// Holds the options of the microscope.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Microscope")]
 pub struct MicroscopeArgs {
-    /// Beam energy in keV (the accelerating voltage in kV) [default: 200]
+    /// Beam energy in keV, the accelerating voltage in kV [default: 200]
     #[arg(long, value_name = "KV", value_parser = values::energy, allow_negative_numbers = true)]
     pub energy: Option<f64>,
-    /// Convergence semiangle; the objective aperture with --plane-wave [default: 21]
+    /// Convergence semiangle in mrad; with --plane-wave, the semiangle of the objective aperture [default: 21]
     #[arg(long, value_name = "MRAD", value_parser = values::semiangle, allow_negative_numbers = true)]
     pub semiangle: Option<f64>,
-    /// Defocus from the entrance surface of the box (z = 0), where the focus lies by default; positive is
-    /// underfocus, with the focus deeper in the specimen
-    /// `simulate` takes a series, START:END:STEP, and makes an image for each value [default: 0]
+    /// Defocus in A, from the entrance surface of the box (z = 0). Positive is underfocus: the focus lies deeper in the specimen.
+    /// `simulate` and `patterns` also take a series, START:END:STEP, END included [default: 0]
     #[arg(long, value_name = "A", value_parser = values::series, allow_hyphen_values = true)]
     pub defocus: Option<NumberSeries>,
-    /// Aberration coefficient in A, with azimuth in rad: C12=30@0.3, C30=1e5 (repeatable)
+    /// Aberration coefficient in A, with its azimuth in rad: C12=30@0.3, C30=1e5 (repeatable)
     #[arg(long, value_name = "Cnm=A[@RAD]", value_parser = values::aberration)]
     pub aberration: Vec<Aberration>,
-    /// Mistilt of the specimen in mrad, up to 20: the beam runs along (tan X, tan Y, 1) of the box [default: 0,0]
+    /// Mistilt of the specimen in mrad, each up to 20. The beam runs along (tan X, tan Y, 1) of the box [default: 0,0]
     #[arg(long, value_name = "X,Y", value_parser = values::point, allow_hyphen_values = true)]
     pub tilt: Option<[f64; 2]>,
-    /// Standard deviation of the focus in A, over which images are averaged: C_c dE / E, with the standard deviation dE of
-    /// the energy [default: 0]
+    /// Focal spread: average images over a Gaussian distribution of the focus with this standard deviation, in A. It is
+    /// C_c dE / E, with the standard deviation dE of the energy [default: 0]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     pub focal_spread: Option<f64>,
-    /// Width of the electron source in A (full width at half maximum; 0.7-1.0 is usual), a Gaussian
-    /// [default: a point]
+    /// Width of the electron source in A, the full width at half maximum of a Gaussian; 0.7 to 1.0 is usual [default: a point]
     #[arg(long, value_name = "A", value_parser = values::positive, allow_negative_numbers = true)]
     pub source_size: Option<f64>,
-    /// Share of the source in long tails, from 0 to 1: a Lorentz profile of the same width in place of the Gaussian
+    /// Share of the source, from 0 to 1, that has a Lorentz profile of equal width (long tails) in place of the Gaussian; for
+    /// images only [default: 0]
     #[arg(long, value_name = "SHARE", value_parser = values::finite, allow_negative_numbers = true)]
     #[arg(requires = "source_size")]
     pub source_lorentz: Option<f64>,
-    /// Annular detector, inner and outer angle in mrad; BF=0-20, ABF=10-20, ADF=40-100
-    /// (repeatable) [default: HAADF=68-200]
+    /// Annular detector with its inner and outer angle in mrad, such as BF=0-20, ABF=10-20, ADF=40-100 (repeatable)
+    /// [default: HAADF=68-200]
     #[arg(long, value_name = "NAME=IN-OUT", value_parser = values::detector)]
     pub detector: Vec<Detector>,
-    /// Go on when a detector reaches beyond what the grid carries
+    /// Continue if a detector reaches beyond the angles that the grid carries; that part of it stays empty
     #[arg(long)]
     pub allow_empty_angles: bool,
 }
 
-/// The engine.
+/// Holds the options of the engine.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Numerics")]
 pub struct NumericsArgs {
-    /// How probes are propagated [default: the fastest way that keeps --accuracy]
+    /// How probes are propagated [default: the fastest way within --accuracy]
     #[arg(long = "engine", visible_alias = "algorithm", value_name = "NAME")]
     pub algorithm: Option<EngineName>,
-    /// Take the narrowest window whose error is at most so many per cent of the mean image (rms), measured beforehand
-    /// on a sample of probes; where no window saves time, the exact engine [default: 0.5, unless an engine is named]
+    /// Largest error, in per cent of the mean image (rms). The program measures it on a sample of probes, and takes the narrowest
+    /// window within it; if no window saves time, the exact engine [default: 0.5, unless --engine is given]
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["window", "interpolation"])]
     pub accuracy: Option<f64>,
-    /// PRISM interpolation factor, or one for x and one for y [default: 1]
+    /// Interpolation factor of PRISM, or one for x and one for y [default: 1]
     #[arg(long, value_name = "F[,FY]", value_parser = values::factors, conflicts_with = "window")]
     pub interpolation: Option<[usize; 2]>,
-    /// Width of the window that follows each probe, in A [default: 11.7]
+    /// Width in A of the window, the small box around each probe in which the probe is propagated [default: 11.7]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     pub window: Option<f64>,
-    /// Pixel of the grid in A, at most [default: carries the outermost detector angle times
-    /// --angle-margin]
+    /// Largest pixel of the grid in A [default: a grid that carries the outermost detector angle times --angle-margin]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     #[arg(conflicts_with = "gpts")]
     pub sampling: Option<f64>,
-    /// Grid points along x and y
+    /// Grid points along x and y, in place of --sampling
     #[arg(long, value_name = "NX,NY", value_parser = values::counts2)]
     pub gpts: Option<[usize; 2]>,
-    /// Slices of equal thickness, at most so many A [default: one slice per atomic plane;
-    /// without planes, atoms within 0.5 A share one]
+    /// Largest thickness of slices in A; all slices are then equally thick [default: one slice for each atomic plane; without
+    /// planes, atoms within 0.5 A share a slice]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     pub slice_thickness: Option<f64>,
     /// How an atom is distributed over slices [default: infinite]
     #[arg(long, value_name = "NAME")]
     pub projection: Option<ProjectionName>,
-    /// Table of scattering factors [default: lobato]
+    /// Parametrization of the scattering factors [default: lobato]
     #[arg(long, value_name = "NAME")]
     pub parametrization: Option<ParametrizationName>,
-    /// Radius of the anti-aliasing disk, in units of Nyquist [default: 0.8; 2/3 excludes
-    /// aliasing altogether]
+    /// Radius of the anti-aliasing disk, as a fraction of the Nyquist frequency [default: 0.8; 2/3 excludes all aliasing]
     #[arg(long, value_name = "F", value_parser = values::finite, allow_negative_numbers = true)]
     pub band_fraction: Option<f64>,
-    /// Width of the soft edge inside that disk, in units of Nyquist [default: 0]
+    /// Width of the soft edge inside the anti-aliasing disk, as a fraction of the Nyquist frequency [default: 0]
     #[arg(long, value_name = "F", value_parser = values::finite, allow_negative_numbers = true)]
     pub band_taper: Option<f64>,
-    /// Exponentiate potentials on a grid so many times finer [default: smoothed potentials, with the
-    /// cores of the atoms put back in closed form]
+    /// Exponentiate potentials on a grid that is N times finer [default: smoothed potentials, whose atomic cores are added in
+    /// closed form]
     #[arg(long, value_name = "N")]
     pub oversampling: Option<usize>,
-    /// The grid carries so many times the outermost detector angle [default: 1.2]
+    /// Largest angle that the grid carries, as a multiple of the outermost detector angle [default: 1.2]
     #[arg(long, value_name = "F", value_parser = values::finite, allow_negative_numbers = true)]
     pub angle_margin: Option<f64>,
-    /// How far apart probes are propagated, in A, at most; images are interpolated to the scan. `scan`: at every
-    /// scan position; `auto`: with an --engine that, but in windows at 0.94 of the image's Nyquist distance (0.28 A at
-    /// 200 kV, 21 mrad); without, at 0.84 of it; where that takes fewer probes [default: auto]
+    /// Largest distance in A between propagated probes, from which images are interpolated to the scan. `scan` propagates every
+    /// scan position. `auto` takes 0.84 of the image's Nyquist distance (which is 0.3 A at 200 kV, 21 mrad), 0.94 of it with
+    /// --engine window, and every position with another --engine or if interpolation saves no probes [default: auto]
     #[arg(long, value_name = "A|scan|auto", value_parser = values::probe_step, allow_negative_numbers = true)]
     pub probe_step: Option<ProbeStep>,
-    /// Windows: expand probes that share one in fewer waves, each right to so many per cent of its amplitude. `off`
-    /// propagates every probe; `auto`: 1 % in 7.8 A, less in wider windows, where that takes fewer waves
-    /// [default: auto]
+    /// In windows: expand the probes that share a window in fewer waves, and propagate only these waves. The value is the error
+    /// of each probe, in per cent of its amplitude. `auto` takes 1 % in 7.8 A and less in wider windows, if that saves waves;
+    /// `off` propagates every probe [default: auto]
     #[arg(long, value_name = "PERCENT|off|auto", value_parser = values::expansion, allow_negative_numbers = true)]
     pub expansion: Option<Expansion>,
-    /// Where the probe has norm 1: in the cell, as is usual, though a small cell makes bright columns too bright
-    /// (by 1 % in 20 A), or in a large box, as in an infinite specimen [default: large; with the engines multislice and
-    /// prism: cell]
+    /// Box in which the probe has norm 1. A small cell folds the tails of the probe back: images are too bright by
+    /// wavelength / (3 semiangle L) in a cell of width L, 2 % in 20 A (200 kV, 21 mrad). A large box acts as an infinite
+    /// specimen [default: large; cell with --engine multislice or prism, and without --engine in cells narrower than 15 A]
     #[arg(long, value_name = "NAME")]
     pub probe_box: Option<ProbeBoxName>,
-    /// PRISM: keep exit waves on the grid of the simulation [default: on one that holds the band limit]
+    /// With PRISM: keep exit waves on the grid of the simulation [default: on a coarser grid that holds the band limit]
     #[arg(long)]
     pub full_exit_grid: bool,
-    /// Windows and large boxes: leave out what the probe's tail outside would have scattered
+    /// Leave out the scattering of the tail, the part of the probe outside its window or cell
     #[arg(long)]
     pub no_tail: bool,
 }
 
-/// Puts a value that is given in the place of another.
+/// Replaces a value if another is given.
 fn put<T: Clone>(given: &Option<T>, to: &mut T) {
     if let Some(given) = given {
         to.clone_from(given);
     }
 }
 
-/// Puts a value that is given in the place of another, or of none.
+/// Replaces an optional value if another is given.
 pub fn put_some<T: Clone>(given: &Option<T>, to: &mut Option<T>) {
     if given.is_some() {
         to.clone_from(given);
@@ -140,7 +137,7 @@ pub fn put_some<T: Clone>(given: &Option<T>, to: &mut Option<T>) {
 }
 
 impl MicroscopeArgs {
-    /// Puts what is given into a request.
+    /// Puts the given options into a request.
     pub fn apply(&self, to: &mut MicroscopeRequest) {
         put(&self.energy, &mut to.energy_kev);
         put(&self.semiangle, &mut to.semiangle_mrad);
@@ -156,7 +153,7 @@ impl MicroscopeArgs {
 }
 
 impl NumericsArgs {
-    /// Puts what is given into a request; what excludes it is taken out there.
+    /// Puts the given options into a request, and removes settings of the request that exclude them.
     pub fn apply(&self, to: &mut NumericsRequest) -> anyhow::Result<()> {
         put_some(&self.algorithm.map(simulation_engine).transpose()?, &mut to.engine);
         if self.accuracy.is_some() {
@@ -187,7 +184,7 @@ impl NumericsArgs {
     }
 }
 
-/// The engine of a simulation; that of worlds is none.
+/// Returns the engine of a simulation. Mosaics are for worlds only.
 fn simulation_engine(name: EngineName) -> anyhow::Result<Engine> {
     match name {
         EngineName::Multislice => Ok(Engine::Multislice),
@@ -199,7 +196,7 @@ fn simulation_engine(name: EngineName) -> anyhow::Result<Engine> {
     }
 }
 
-/// The settings of the engine for an image of one defocus and a point source.
+/// Returns the settings of the engine for an image of one defocus and a point source.
 pub fn settings(
     microscope: &MicroscopeArgs,
     numerics: &NumericsRequest,

@@ -14,45 +14,45 @@ use stemgen::replay::{PixelOrigin, ReplayFacts, ReplayOptions, ReplayWorld};
 
 const EXAMPLES: &str = "\
 Examples:
-  An image of DigitalMicrograph, with the pixel size that it tells:
+  An image of DigitalMicrograph, with the pixel size that the file states:
     stemgen import MoS2.dm3 -o mos2.h5
-  The same, measured on planes 0.2737 nm apart, in the Fourier transform:
+  Measure the pixel on planes that are 0.2737 nm apart, in the Fourier transform:
     stemgen import MoS2.dm3 --calibrate 0.2737 -o mos2.h5
-  A file that says nothing of its pixels; they are 0.0128 nm wide:
+  A file without a pixel size; its pixels are 0.0128 nm wide:
     stemgen import image.tif --pixel-size 0.0128 -o world.h5
   One image of several (without these options the error lists them):
     stemgen import scan.emd --dataset HAADF --index 3 -o world.h5
     stemgen import reconstruction.h5 --dataset /object/phase --pixel-size 0.02 -o world.h5
 
-It reads DM3 and DM4, Velox EMD, HyperSpy (.hspy, .hdf5), any other HDF5 (Berkeley EMD, Prismatic,
-NeXus, py4DSTEM ...), TIFF, .npy, .npz, zarr, and the HDF5 files of the BiFeO3 images of the STEMGym
-paper with their unit cells. Axes that a file names x and y decide how the image lies. Noise stays as
-it was recorded. Values that are no numbers become the median of the image, and are marked
-in /valid_region. docs/replay.md tells the rest.";
+The command reads DM3 and DM4, Velox EMD, HyperSpy (.hspy, .hdf5), other HDF5 (Berkeley EMD,
+Prismatic, NeXus, py4DSTEM ...), TIFF, .npy, .npz, zarr, and the HDF5 files of the BiFeO3 images of
+the STEMGym paper with their unit cells. Axes that a file names x and y set the orientation of the
+image. The noise of the recording is kept. Values that are not finite numbers become the median of
+the image, and /valid_region marks them. docs/replay.md describes the formats.";
 
-/// Make a world of a recorded image
+/// Convert a recorded image to a world file, for `view`, `tiles`, `verify` and `info`
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct ImportImage {
     /// File with a recorded image
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Which image of a file that holds several: its name, or the path of a data set
-    #[arg(long, value_name = "NAME")]
+    /// Image to read, if the file holds several: its name, or the path of a dataset
+    #[arg(long, value_name = "NAME", help_heading = "Image")]
     dataset: Option<String>,
-    /// Which frame of an image that has several, counted from 0
-    #[arg(long, value_name = "N")]
+    /// Frame to read, from 0, if the image has several
+    #[arg(long, value_name = "N", help_heading = "Image")]
     index: Option<usize>,
-    /// Edge of a pixel in nm [default: as the file says]
+    /// Edge of a pixel in nm [default: the size that the file states]
     #[arg(long, value_name = "NM", value_parser = values::positive, help_heading = "Scale")]
     #[arg(allow_hyphen_values = true)]
     pixel_size: Option<f64>,
-    /// Measure the pixel by a distance of planes of the crystal, in nm: its peak in the Fourier transform is looked for
-    /// within 15 % of where the file, or --pixel-size, has it
+    /// Measure the pixel on lattice planes that are this far apart, in nm. The program searches their peak in the Fourier
+    /// transform, within 15 % of the position that follows from the file or from --pixel-size
     #[arg(long, value_name = "NM", value_parser = values::positive, help_heading = "Scale")]
     #[arg(allow_hyphen_values = true)]
     calibrate: Option<f64>,
-    /// Percentiles of the recorded values that become 0 and 1; values beyond are cut off
+    /// Percentiles of the recorded values that become 0 and 1. Values beyond them are cut off
     #[arg(long, value_name = "LOW,HIGH", default_value = "0.1,99.9", help_heading = "Scale")]
     #[arg(value_parser = values::percentiles)]
     contrast: Percentiles,
@@ -66,18 +66,18 @@ pub struct ImportImage {
     common: Common,
 }
 
-/// Files are seldom wrong by more.
+/// Change of the pixel in per cent above which a calibration is doubtful: the sizes in files are seldom wrong by more.
 const USUAL_PERCENT: f64 = 10.0;
 
 /// Two numbers of one option.
 type Percentiles = [f64; 2];
 
-/// As `--json` prints it.
+/// The summary that `--json` prints.
 #[derive(Serialize)]
 struct ImportSummary {
     input: PathBuf,
     output: PathBuf,
-    /// None of a dry run.
+    /// `None` after a dry run.
     file_bytes: Option<u64>,
     #[serde(flatten)]
     facts: ReplayFacts,

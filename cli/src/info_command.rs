@@ -18,73 +18,73 @@ use stemgen::world::WorldFacts;
 
 const EXAMPLES: &str = "\
 Examples:
-  What a world holds, and the command that makes it again:
+  Print the contents of a world, and the command that makes it again:
     stemgen info worlds/srtio3_easy_2x2.h5
-  Of all worlds of a folder, with checksums, for a script:
+  Print JSON with checksums of all worlds of a folder, for a script:
     stemgen info worlds/*.h5 --checksum --json
-  Its recipe as a file, to change and to build from:
+  Write the recipe of a world to a file, to edit it and build from it:
     stemgen info mine.h5 --recipe-out mine.toml
 
-Of a file that `simulate`, `acquire` or `live` wrote it tells the images and the command.
+For a file of `simulate`, `acquire` or `live`, info prints its images and the command that made it.
 
-The command makes the same bytes of tiles and truth with the same version of the numerics on the same kind of
-processor. Where it names a recipe file, --recipe-out writes that file.";
+With one version of the numerics, on one kind of processor, the command makes identical bytes of
+tiles and truth. If it names a recipe file, --recipe-out writes this file.";
 
-/// Tell what a world, or a file of images, holds, and the command that makes it again
+/// Print the contents of a world or of a file of images, and the command that makes it again
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Info {
-    /// World files, and files of images
+    /// World files, and files of `simulate`, `acquire` or `live`
     #[arg(value_name = "FILE.h5", required = true)]
     worlds: Vec<PathBuf>,
-    /// Also tell the SHA-256 of the file
+    /// Also print the SHA-256 of each file
     #[arg(long)]
     checksum: bool,
-    /// Write the recipe of the world, with all its values, to a file
+    /// Write the recipe of the world with all values to a file
     #[arg(long, value_name = "FILE.toml")]
     recipe_out: Option<PathBuf>,
     /// Replace an existing file
     #[arg(long, requires = "recipe_out")]
     overwrite: bool,
-    /// Print it as JSON
+    /// Print as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// All about one world, as `--json` prints it.
+/// The contents of a world, as `--json` prints them.
 #[derive(Serialize)]
 pub struct WorldInfo {
     /// The file.
     pub world: PathBuf,
-    /// Its size.
+    /// Size of the file.
     pub file_bytes: u64,
-    /// Its checksum, if asked for.
+    /// SHA-256 of the file, if asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
-    /// What it holds.
+    /// The contents.
     #[serde(flatten)]
     pub facts: WorldFacts,
-    /// The command that makes it again, as it is typed.
+    /// The command that makes the world again, as a line of a shell.
     pub command: Option<String>,
-    /// The same in words, and what it needs.
+    /// The words of this command, and the recipe file that it reads.
     pub again: BuildAgain,
 }
 
-/// All about a file of images, as `--json` prints it.
+/// The contents of a file of images, as `--json` prints them.
 #[derive(Serialize)]
 pub struct ImagesInfo {
     /// The file.
     pub file: PathBuf,
-    /// Its size.
+    /// Size of the file.
     pub file_bytes: u64,
-    /// Its checksum, if asked for.
+    /// SHA-256 of the file, if asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
-    /// What the images are.
+    /// Kind of the images.
     pub kind: &'static str,
-    /// Their names.
+    /// Names of the images.
     pub images: Vec<String>,
-    /// The command that made it, as it was typed.
+    /// The command that made the file.
     pub command: Option<String>,
     /// The request that made simulated images.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -115,7 +115,10 @@ impl Info {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         if let (Some(out), false) = (&self.recipe_out, self.worlds.len() == 1) {
-            bail!("--recipe-out {}: takes the recipe of one world; name one", out.display());
+            bail!(
+                "--recipe-out {}: writes the recipe of one world; name one world file",
+                out.display()
+            );
         }
         let (mut infos, mut images, mut texts) = (Vec::new(), Vec::new(), Vec::new());
         for path in &self.worlds {
@@ -133,7 +136,7 @@ impl Info {
             if let Some(out) = &self.recipe_out {
                 let Some(recipe) = &world.metadata().recipe else {
                     bail!(
-                        "{}: holds no recipe: it was recorded, or made by another program",
+                        "{}: holds no recipe, since it is a recorded image or a file of another program; leave out --recipe-out",
                         path.display()
                     );
                 };
@@ -153,7 +156,10 @@ impl Info {
 
     fn of_images(&self, path: &Path, stored: StoredImages) -> anyhow::Result<ImagesInfo> {
         if self.recipe_out.is_some() {
-            bail!("--recipe-out: {}: is no world", path.display());
+            bail!(
+                "--recipe-out: {} is no world, and holds no recipe; leave it out",
+                path.display()
+            );
         }
         let sha256 = self.checksum.then(|| sha256_of_file(path)).transpose()?;
         Ok(ImagesInfo {
@@ -208,7 +214,7 @@ impl WorldInfo {
             None => lines.add("made again by", "no command known"),
         }
         if self.again.recipe.is_some() {
-            lines.add("", "the recipe file that it names is written by --recipe-out");
+            lines.add("", "--recipe-out writes the recipe file that the command names");
         }
         if let Some(note) = &self.again.note {
             lines.add("", note.clone());

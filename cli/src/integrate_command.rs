@@ -23,36 +23,37 @@ use super::values::Bits;
 
 const EXAMPLES: &str = "\
 Examples:
-  Two rings, with pictures:
+  Images of two annular detectors, with pictures:
     stemgen integrate srtio3.emd --annulus ABF=10-21 --annulus ADF=40-90 --png
-  A quadrant detector, turned by 45 degrees, and the centre of mass of every pattern:
+  A quadrant detector turned by 45 degrees, and the centre of mass of every pattern:
     stemgen integrate srtio3.emd --sectors DPC=0-21:4@45 --com
-  Any annulus, from a file of rings (`stemgen patterns --radial 1 --max-angle 200`):
+  Two annuli from a file of rings (`stemgen patterns --radial 1 --max-angle 200`):
     stemgen integrate rings.emd --annulus HAADF=68-200 --annulus 90-150
   The integrated centre of mass (the phase of a thin specimen), as TIFF for ImageJ:
     stemgen integrate srtio3.emd --icom --tiff 32
 
-The file (HDF5) has the schema of `stemgen simulate`: /images/NAME, (thickness, y, x). Azimuths are counted from +x, to the
-right, towards +y, down. Sums over pixels take the share of each pixel's area that lies on the detector; an annulus of
-rings has to begin and end at edges of rings.";
+The file (HDF5) has the layout of `stemgen simulate`: /images/NAME, [thickness, y, x]. Azimuths
+count from +x (right) towards +y (down). A pixel at the edge of a detector counts with the share of
+its area on the detector. An annulus of rings has to begin and end at edges of rings.";
 
-/// Make images from the diffraction patterns of a scan: rings, sectors, centre of mass
+/// Compute images from diffraction patterns: rings, sectors, centre of mass
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Integrate {
-    /// A file that `stemgen patterns` wrote
+    /// File of diffraction patterns, written by `stemgen patterns`
     #[arg(value_name = "FILE.emd", help_heading = None)]
     file: PathBuf,
-    /// A ring, from INNER to OUTER mrad
+    /// Sum each pattern over a ring from INNER to OUTER mrad (repeatable)
     #[arg(long, value_name = "[NAME=]INNER-OUTER", help_heading = "Detectors")]
     annulus: Vec<String>,
-    /// Equal sectors of a ring, the first beginning at so many degrees; images NAME_0, NAME_1, ...
+    /// Sum each pattern over N equal sectors of a ring in mrad (repeatable): images NAME_0, NAME_1, ... The first sector begins
+    /// at DEGREES
     #[arg(long, value_name = "[NAME=]INNER-OUTER:N[@DEGREES]", help_heading = "Detectors")]
     sectors: Vec<String>,
-    /// The centre of mass of every pattern in mrad: images com_x and com_y
+    /// Compute the centre of mass of every pattern, in mrad: images com_x and com_y
     #[arg(long, help_heading = "Detectors")]
     com: bool,
-    /// The integrated centre of mass in radians: image icom. The scan is taken as periodic
+    /// Integrate the centre of mass, in radians: image icom. The scan is treated as periodic
     #[arg(long, help_heading = "Detectors")]
     icom: bool,
     /// File to write [default: FILE_images.h5]
@@ -61,17 +62,17 @@ pub struct Integrate {
     /// Replace existing files
     #[arg(long, help_heading = "Results")]
     overwrite: bool,
-    /// Also write a picture of every image, beside the file
+    /// Also write a picture (PNG) of every image, beside the file
     #[arg(long, help_heading = "Results")]
     png: bool,
-    /// Also write every image as TIFF of 8, 16 or 32 bits, with pixels and values calibrated for ImageJ
+    /// Also write every image as TIFF of 8, 16 or 32 bits. ImageJ reads its pixel size and its values
     #[arg(long, value_name = "BITS", help_heading = "Results")]
     tiff: Option<Bits>,
     #[command(flatten)]
     common: Common,
 }
 
-/// An image, what its values are, and the ring that it is of.
+/// An image with the units of its values, and its ring if it is the image of one.
 struct VirtualImage {
     name: String,
     units: &'static str,
@@ -114,7 +115,7 @@ impl Integrate {
             );
         }
         if detectors.is_empty() && !self.com && !self.icom {
-            bail!("give --annulus, --sectors, --com or --icom: what shall the images be of?");
+            bail!("no image is asked for; give --annulus, --sectors, --com or --icom");
         }
         let given = self.output.clone();
         let output = given.unwrap_or_else(|| output::sibling(&self.file, "_images.h5"));

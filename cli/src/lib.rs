@@ -65,7 +65,7 @@ pub use hdf5_check::survive;
 pub use invocation::Invocation;
 use invocation::PROGRAM;
 
-/// Simulates STEM images and generates whole annotated specimens (worlds).
+/// Simulate STEM images, and build worlds: files with the image of a whole specimen and its ground truth
 #[derive(Debug, Parser)]
 #[command(name = "stemgen", version, max_term_width = 100, after_help = EXAMPLES)]
 struct Cli {
@@ -75,20 +75,27 @@ struct Cli {
 
 const EXAMPLES: &str = "\
 Examples:
-  stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --png
-  stemgen patterns si.cif --repeat 8,8,10 --scan-end 5.431,5.431 --png
-  stemgen list
-  stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
-  stemgen build srtio3 --difficulty easy --grid 2x2
-  stemgen view worlds/srtio3_easy_2x2.h5 --overlay defects
-  stemgen tiles worlds/srtio3_easy_2x2.h5 --random-dose 1e3,1e5 -n 200 -o train.npz
-  stemgen acquire worlds/srtio3_easy_2x2.h5 --profile routine -o tile.h5 --png
-  stemgen live srtio3 --difficulty easy --grid 4x4 --dose-series 20 --dose 5e4 -o dying.h5 --animation
-  stemgen validate --quick
+  Simulate the HAADF image of a crystal, or its diffraction patterns:
+    stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --png
+    stemgen patterns si.cif --repeat 8,8,10 --scan-end 5.431,5.431 --png
+  List the recipes of specimens, and write the atoms of one:
+    stemgen list
+    stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
+  Build a world, draw it with its defects, and cut training tiles from it:
+    stemgen build srtio3 --difficulty easy --grid 2x2
+    stemgen view worlds/srtio3_easy_2x2.h5 --overlay defects
+    stemgen tiles worlds/srtio3_easy_2x2.h5 --random-dose 1e3,1e5 -n 200 -o train.npz
+  Record a tile as a microscope does, or a specimen that loses atoms under the beam:
+    stemgen acquire worlds/srtio3_easy_2x2.h5 --profile routine -o tile.h5 --png
+    stemgen live srtio3 --difficulty easy --grid 4x4 --dose-series 20 --dose 5e4 -o dying.h5 \\
+      --animation
+  Check the program against its references:
+    stemgen validate --quick
 
-`stemgen COMMAND --help` explains every option, with more examples; `stemgen glossary` the terms.";
+`stemgen COMMAND --help` explains every option and has more examples. `stemgen glossary` explains
+the terms.";
 
-/// What the terms of help and messages mean.
+/// Text of `stemgen glossary`, which defines the terms of help and messages.
 const GLOSSARY: &str = include_str!("../../docs/glossary.md");
 
 #[derive(Debug, Subcommand)]
@@ -119,16 +126,16 @@ enum Command {
     Glossary,
 }
 
-/// Runs the program `stemgen` with the arguments of this process, and reports what went wrong.
+/// Runs the program `stemgen` with the arguments of this process, and reports errors.
 pub fn main() -> ExitCode {
     ExitCode::from(run(Invocation::of_process()))
 }
 
-/// Runs a program as it was called, once in a process, and reports what went wrong on standard error. Listens to signals, and starts
-/// the threads that all of the process use. Returns the exit code.
+/// Runs the program once in a process, reports errors on standard error, and returns the exit code. Listens to signals, and starts
+/// the threads of the whole process.
 pub fn run(invocation: Invocation) -> u8 {
     let invocation = invocation.remember();
-    // Before all else: that process hears no signals, and has no options.
+    // The process that reads an HDF5 file through has no options, and must not listen to signals.
     if let Some(ended) = hdf5_check::serve(&invocation.arguments) {
         return ended;
     }
@@ -139,7 +146,7 @@ pub fn run(invocation: Invocation) -> u8 {
     let command = match parse(invocation) {
         Ok(cli) => cli.command,
         Err(error) => {
-            // Nothing is left to tell the failure to.
+            // If standard error is closed, no stream is left for the message.
             let _ = error.print();
             return u8::try_from(error.exit_code()).unwrap_or(u8::MAX);
         }
@@ -172,7 +179,7 @@ pub fn run(invocation: Invocation) -> u8 {
     result.unwrap_or_else(|error| hints::report(&error, name))
 }
 
-/// Reads the arguments.
+/// Parses the arguments.
 fn parse(invocation: &Invocation) -> Result<Cli, clap::Error> {
     let mut definition = Cli::command();
     let program = OsString::from(PROGRAM);

@@ -11,29 +11,29 @@ use stemgen::specimen::{counted_sites, estimated_sites, specimen};
 
 const EXAMPLES: &str = "\
 Examples:
-  Which worlds can be built?
+  List the worlds that can be built:
     stemgen list
-  The same for programs, with exact numbers of sites:
+  Print JSON with exact numbers of sites, for programs:
     stemgen list --count --json
 
-Rates are those of the recipe: the fraction of the sites named that is vacant or substituted. Sites are
-lattice sites of the whole field, vacant ones included, estimated from samples of it (within about 1 %)
-unless --count is given. The dose is in electrons per square Angstrom.";
+A rate is the fraction of the named sites that is vacant or substituted. Sites are the lattice sites
+of the whole field, with vacant ones. Their number is estimated from samples of the field (within
+about 1 %), or exact with --count. The dose is in electrons per square Angstrom.";
 
-/// List the recipes that come with the program
+/// List the recipes that are installed with the program
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct List {
-    /// Only this material, or the recipe of a file (.toml)
+    /// Material to list, or your own recipe file (.toml) [default: all materials]
     #[arg(value_name = "MATERIAL")]
     material: Option<String>,
-    /// Count the sites one by one, which takes seconds for each tier
+    /// Count every site, which takes seconds for each tier
     #[arg(long)]
     count: bool,
     /// Print as JSON
     #[arg(long)]
     json: bool,
-    /// Print nothing but the list and errors
+    /// Print only the list and errors
     #[arg(short, long)]
     quiet: bool,
 }
@@ -59,9 +59,9 @@ struct RecipeRow {
 struct Rate {
     /// Dotted key of the recipe.
     key: String,
-    /// Whose sites.
+    /// Element whose sites are meant.
     element: Option<String>,
-    /// What stands on them instead; nothing for vacancies.
+    /// Element that replaces it; `None` for vacancies.
     by: Option<String>,
     rate: f64,
 }
@@ -118,7 +118,7 @@ impl List {
     }
 }
 
-/// All values of the recipe whose key is `rate`.
+/// Returns all values of the recipe whose key is `rate`.
 fn rates(recipe: &Recipe) -> Vec<Rate> {
     fn walk(table: &toml::Table, path: &str, out: &mut Vec<Rate>) {
         if let Some(rate) = table.get("rate").and_then(toml::Value::as_float) {

@@ -27,24 +27,26 @@ use stemgen::world::{BuildOptions, Electrons, ImagePlan, RecordedPart};
 
 const EXAMPLES: &str = "\
 Examples:
-  A place of SrTiO3 that loses oxygen: 20 recordings of 5e4 electrons per square Angstrom, with an animation:
-    stemgen live srtio3 --difficulty easy --grid 4x4 --dose-series 20 --dose 5e4 -o dying.h5 --animation
-  Silicon at 200 kV, which displaces its atoms, as a good microscope records it:
+  SrTiO3 that loses oxygen: 20 recordings at 5e4 electrons per square Angstrom, and an animation:
+    stemgen live srtio3 --difficulty easy --grid 4x4 --dose-series 20 --dose 5e4 -o dying.h5 \\
+      --animation
+  Silicon at 200 kV, which knocks its atoms out, with the profile of a good microscope:
     stemgen live sige --difficulty easy --grid 4x4 --set alloy.rate=0 --profile routine \\
       --dose-series 30 --dose 2e5 -o silicon.h5 --animation
-  Another energy to knock oxygen out, and none lost by ionisation:
+  Oxygen with a knock-on threshold of 25 eV, and without losses by ionisation:
     stemgen live srtio3 --difficulty easy --grid 4x4 --set damage.threshold_ev.O=25 \\
       --unset damage.radiolysis_barn --dose-series 10 --dose 1e5 -o knock-on.h5
-  In Python:
+  Read the series in Python:
     import h5py
     f = h5py.File(\"dying.h5\")
-    f[\"recording\"][:], f[\"series/ideal\"][:]       # (recording, row, column): counts, and the noise-free image
-    f[\"series/dose_before\"][:], f[\"series/lost/O\"][:], f[\"series/vacancies\"][:]   # (recording, column)
+    f[\"recording\"][:], f[\"series/ideal\"][:]    # counts, noise-free images [recording, row, column]
+    f[\"series/dose_before\"][:], f[\"series/lost/O\"][:]    # one value for each recording
+    f[\"series/vacancies\"][:]                            # [recording, column of atoms]
 
-The beam displaces what the table [damage] of the recipe names (docs/live.md). From Rust, `stemgen::live::LiveWorld` records
-anywhere, in any order.";
+The table [damage] of the recipe sets which elements the beam removes (docs/live.md). From Rust,
+`stemgen::live::LiveWorld` records any place, in any order.";
 
-/// Record a place again and again while the beam takes its atoms away
+/// Record one place of a specimen many times, while the beam removes its atoms
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Live {
@@ -53,37 +55,38 @@ pub struct Live {
     /// Number of recordings
     #[arg(long, value_name = "N", default_value_t = 20, help_heading = "Recording")]
     dose_series: usize,
-    /// Electrons per square Angstrom of each recording, all frames together [default: the dose of the recipe]
+    /// Dose of each recording in electrons per square Angstrom, all frames together [default: the dose of the recipe]
     #[arg(long, value_name = "D", value_parser = values::positive, help_heading = "Recording")]
     dose: Option<f64>,
-    /// Current of the beam in pA, in place of --dose
+    /// Beam current in pA, in place of --dose
     #[arg(long, value_name = "I", value_parser = values::positive, conflicts_with = "dose")]
     #[arg(help_heading = "Recording")]
     current_pa: Option<f64>,
-    /// Middle of the place, in nm from the centre of the first pixel; as many pixels as a tile [default: the middle of the field]
+    /// Middle of the place, in nm from the centre of the first pixel. The place has as many pixels as a tile [default: the middle
+    /// of the field]
     #[arg(long, value_name = "X,Y", value_parser = values::point, help_heading = "Recording")]
     #[arg(allow_hyphen_values = true)]
     at: Option<[f64; 2]>,
-    /// How many times finer the pixels are than those of the recipe
+    /// Factor by which pixels are finer than in the recipe [default: 1]
     #[arg(long, value_name = "Z", value_parser = values::positive, help_heading = "Recording")]
     zoom: Option<f64>,
-    /// Values of the microscope; --set acquisition.KEY=VALUE changes single ones [default: those of the recipe, or
-    /// ideal]
+    /// Profile of the microscope, a named set of values. --set acquisition.KEY=VALUE changes single values [default: the profile
+    /// of the recipe, or ideal]
     #[arg(long, value_name = "NAME", help_heading = "Recording")]
     profile: Option<AcquisitionName>,
-    /// The greatest dose that the world is made for, in electrons per square Angstrom: a larger one takes more
-    /// simulations beforehand [default: what the series comes to]
-    #[arg(long, value_name = "D", value_parser = values::positive)]
+    /// Largest dose that any place may receive, in electrons per square Angstrom. A larger value needs more simulations before the
+    /// first recording [default: 1.2 times the dose of the whole series]
+    #[arg(long, value_name = "D", value_parser = values::positive, help_heading = "Recording")]
     most_dose: Option<f64>,
     #[command(flatten)]
     kept: CacheArgs,
     /// File to write
     #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
     output: PathBuf,
-    /// Write an animation (an animated PNG) beside it too
+    /// Also write an animation (animated PNG), beside the file
     #[arg(long, help_heading = "Results")]
     animation: bool,
-    /// Seconds that the animation shows each recording
+    /// Time that the animation shows each recording, in s
     #[arg(long, value_name = "S", default_value_t = 0.2, value_parser = values::positive)]
     #[arg(help_heading = "Results")]
     frame_s: f64,
@@ -111,13 +114,13 @@ struct LiveSummary {
     wall_time_s: f64,
 }
 
-/// What a series would take.
+/// The plan of a series.
 #[derive(Serialize)]
 struct LivePlan {
     recordings: usize,
     shape: [usize; 2],
     pixel_nm: f64,
-    /// The library and the image when the series begins; the image of a place whose atoms have moved is put together again.
+    /// The library, and the image when the series begins. The image is put together again for every recording that follows a loss.
     image: ImagePlan,
     output: PathBuf,
 }
@@ -154,7 +157,7 @@ impl Live {
         let mut world = LiveWorld::new(&recipe, recipe.seed, &options, &reporter)?;
         if world.specimen().is_lasting() {
             text::complain(
-                "warning: nothing is displaced at this energy: the recipe has no table [damage], or its thresholds are too high",
+                "warning: the beam removes no atom at this energy: the recipe has no table [damage], or its thresholds are too high",
             );
         }
         let series = world.dose_series(&request, self.dose_series, &reporter)?;
@@ -175,7 +178,7 @@ impl Live {
         self.common.print(&summary, &summary.text())
     }
 
-    /// Tells what the series would take.
+    /// Prints the plan of the series.
     fn planned(&self, image: ImagePlan, request: &LiveRequest) -> anyhow::Result<()> {
         let plan = LivePlan {
             recordings: self.dose_series,
@@ -223,17 +226,17 @@ impl Live {
                 stemgen::acquisition::Exposure::of_current(current, dwell, frames, pixel)?.dose()
             }
         };
-        // Lines that drift brings together add up at some places.
+        // Drift can bring lines together, so that some places receive more than the mean dose.
         let all = 1.2 * one * self.dose_series as f64;
         let most_dose = self.most_dose.unwrap_or(all.min(1e12));
         if most_dose < one * self.dose_series as f64 * (1.0 - 1e-9) {
             let total = one * self.dose_series as f64;
             let fault = anyhow!(
-                "--most-dose {most_dose}: the series comes to {total:.4} electrons per square Angstrom"
+                "--most-dose {most_dose}: the dose of the whole series is {total:.4} electrons per square Angstrom"
             );
             return Err(hinted(
                 fault,
-                "a larger --most-dose, or a smaller --dose or --dose-series",
+                "give a larger --most-dose, or a smaller --dose or --dose-series",
             ));
         }
         let cache = self.kept.cache();
@@ -241,7 +244,7 @@ impl Live {
         Ok(LiveOptions { imaging, most_dose, ..LiveOptions::default() })
     }
 
-    /// The recordings as an animated PNG, all with one contrast and the dose before each.
+    /// Draws the recordings as an animated PNG, with one contrast for all and the dose before each.
     fn animated(&self, series: &DoseSeries) -> anyhow::Result<Vec<u8>> {
         let images = series.data.mapv(|v| v as f32);
         let all: Vec<f32> = images.iter().copied().collect();

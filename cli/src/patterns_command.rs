@@ -24,25 +24,27 @@ use stemgen::simulation::{PlanReport, SimulationJob, SimulationRequest};
 
 const EXAMPLES: &str = "\
 Examples:
-  Patterns of 64 x 64 pixels to 100 mrad of a unit cell of SrTiO3, 39 A thick, 20 x 20 probes:
+  One unit cell of SrTiO3, 39 A thick: 20 x 20 probes, patterns of 64 x 64 pixels to 100 mrad:
     stemgen patterns srtio3.cif --repeat 8,8,10 --scan-start 15.62,15.62 --scan-end 19.525,19.525 \\
       --scan-points 20,20
-  Counted electrons on a finer detector, eight phonon configurations, at two thicknesses (two files):
+  Counted electrons on a finer detector, eight phonon configurations, two thicknesses (two files):
     stemgen patterns srtio3.cif --repeat 8,8,20 --pixels 128 --max-angle 60 --dose 1e5 \\
       --phonons 8 --sigma 0.08 --thicknesses 39,78
-  Rings of 1 mrad in place of pixels, of which any annulus is made afterwards:
+  Rings of 1 mrad in place of pixels; `stemgen integrate` sums any annulus from them:
     stemgen patterns srtio3.cif --repeat 8,8,10 --radial 1 --max-angle 200
   A finite source, and a detector that spreads electrons over its pixels:
     stemgen patterns srtio3.cif --repeat 8,8,10 --source-size 0.8 --mtf 0.6 --dose 1e5
-  What would it take?
+  Print time, memory and file size only:
     stemgen patterns mos2.xyz --energy 80 --semiangle 25 --dry-run
-  Images from the patterns, afterwards:
+  Images from the patterns:
     stemgen integrate srtio3.emd --annulus ABF=10-21 --sectors 0-21:4 --com --icom --png
 
-The file (.emd, HDF5) opens in py4DSTEM, LiberTEM and HyperSpy: fractions of the beam, or electrons, (y, x, ky, kx); k = 0 is
-at pixel n / 2, x runs right and y down. Probes are propagated in windows that hold the beam, unless --engine or --window say
-otherwise; what a window cuts off the probe is added coherently. `stemgen rerun FILE.emd` makes the patterns of a file
-again.";
+py4DSTEM, LiberTEM and HyperSpy open the file (.emd, HDF5): fractions of the beam, or electrons,
+[y, x, ky, kx]. k = 0 is at pixel n / 2; x runs right and y down. `stemgen rerun FILE.emd` repeats
+the simulation and compares.
+
+Without --engine or --window, each probe is propagated in a window, a small box that holds the beam;
+the part of the probe outside of it is added coherently.";
 
 /// Simulate the diffraction pattern of every probe (4D-STEM)
 #[derive(Debug, Args)]
@@ -60,7 +62,7 @@ pub struct Patterns {
     numerics: NumericsArgs,
     #[command(flatten)]
     results: PatternResults,
-    /// Write everything that decides the patterns to a file, and simulate nothing; `stemgen patterns FILE.toml` does
+    /// Write all settings that decide the patterns to a file, and simulate nothing. `stemgen patterns FILE.toml` simulates them
     #[arg(long, value_name = "FILE.toml", help_heading = "Running")]
     write_request: Option<PathBuf>,
     #[command(flatten)]
@@ -69,49 +71,50 @@ pub struct Patterns {
     force: Force,
 }
 
-/// The pixelated detector.
+/// Holds the options of the pixelated detector.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Pixelated detector")]
 pub struct PatternArgs {
     /// Pixels along each edge of the detector [default: 64]
     #[arg(long, value_name = "N")]
     pixels: Option<usize>,
-    /// Half the width of the detector, or the outer angle of the last ring, in mrad [default: 100]
+    /// Half the width of the detector, or the outer angle of the last ring with --radial, in mrad [default: 100]
     #[arg(long, value_name = "MRAD", value_parser = values::positive)]
     max_angle: Option<f64>,
-    /// Sum patterns over rings of this width, up to --max-angle, in place of pixels: `stemgen integrate` makes any annulus of
-    /// them, and the file is small
+    /// Sum patterns over rings of this width in mrad, up to --max-angle, in place of pixels. The file is small, and
+    /// `stemgen integrate` sums any annulus from it
     #[arg(long, value_name = "MRAD", value_parser = values::positive, conflicts_with = "pixels")]
     radial: Option<f64>,
-    /// How the detector spreads the electrons of a pixel over its neighbours: the standard deviation of a Gaussian in pixels, or
-    /// a file with its modulation transfer function, in lines of cycles per pixel and transfer, from 0, 1 on
+    /// Spread of the electrons of a pixel over its neighbours: the standard deviation of a Gaussian, in pixels, or a file with
+    /// the modulation transfer function. Each line of the file holds cycles per pixel and transfer; the first is 0, 1
+    /// [default: no spread]
     #[arg(long, value_name = "PIXELS|FILE", value_parser = mtf, conflicts_with = "radial", allow_negative_numbers = true)]
     mtf: Option<DetectorMtf>,
-    /// Leave out what windows cut off the probe
+    /// Leave out the part of each probe outside its window
     #[arg(long)]
     no_coherent_tail: bool,
 }
 
-/// What is written.
+/// Holds the options of the results.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Results")]
 pub struct PatternResults {
-    /// Thicknesses in A at which patterns are recorded, each to a file of its own [default: the whole]
+    /// Thicknesses in A at which patterns are recorded, each in a separate file [default: the whole specimen]
     #[arg(long, value_name = "A,A,...", value_delimiter = ',', value_parser = values::finite)]
     #[arg(allow_negative_numbers = true)]
     thicknesses: Vec<f64>,
-    /// File to write, whose ending says what it is: .emd; .hspy for HyperSpy; .toml for sparse counts (raw CSR of LiberTEM, with
-    /// three files beside it); .raw for frames of the EMPAD (with .json and .xml) [default: name of the structure with .emd, in
-    /// the current folder]
+    /// File to write. Its ending sets the format: .emd; .hspy for HyperSpy; .toml for sparse counts (raw CSR of LiberTEM, with
+    /// three files beside it); .raw for frames of the EMPAD (with .json and .xml) [default: name of the structure file with
+    /// .emd, in the current folder]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Replace existing files
     #[arg(long)]
     overwrite: bool,
-    /// Electrons per square Angstrom of the scan, which are then counted; --seed seeds the noise
+    /// Dose in electrons per square Angstrom of the scan. The file then holds counted electrons; --seed seeds the noise
     #[arg(long, value_name = "E/A^2", value_parser = values::positive)]
     dose: Option<f64>,
-    /// Also write a picture of the mean pattern, beside the file; it shows the fourth root of intensities
+    /// Also write a picture (PNG) of the mean pattern, beside the file. It shows the fourth root of the intensities
     #[arg(long)]
     png: bool,
 }
@@ -132,7 +135,7 @@ struct PatternsDryRun {
     plan: PlanReport,
 }
 
-/// What was written.
+/// The summary of a run.
 #[derive(Serialize)]
 pub struct PatternsSummary {
     files: Vec<WrittenFile>,
@@ -152,13 +155,13 @@ struct WrittenFile {
     pixels: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rings: Option<usize>,
-    /// The mean share of the beam on the detector, or the mean number of electrons.
+    /// Mean over patterns: the share of the beam on the detector, or the number of electrons.
     mean_sum: f64,
     #[serde(skip)]
     counted: bool,
 }
 
-/// A number, or a table in a file.
+/// Reads a standard deviation, or the table in a file.
 fn mtf(text: &str) -> Result<DetectorMtf, String> {
     let found = match text.trim().parse::<f64>() {
         Ok(_) => DetectorMtf::parse(text),
@@ -203,11 +206,11 @@ impl Patterns {
         self.common.print(&summary, &summary.text())
     }
 
-    /// What is asked for.
+    /// Returns the request that the options describe.
     fn request(&self) -> anyhow::Result<SimulationRequest> {
         if !self.microscope.detector.is_empty() {
             bail!(
-                "--detector: rings are chosen afterwards, from the patterns: `stemgen integrate FILE.emd --annulus NAME=INNER-OUTER`"
+                "--detector: is not for `stemgen patterns`, which records whole patterns; leave it out, and sum a ring afterwards: `stemgen integrate FILE.emd --annulus NAME=INNER-OUTER`"
             );
         }
         let mut request = self.specimen.request()?;
@@ -228,7 +231,7 @@ impl Patterns {
     }
 }
 
-/// A simulation of patterns, with where they go.
+/// A simulation of patterns, with the files that it writes.
 pub struct PatternsRun {
     pub job: SimulationJob,
     pub output: PathBuf,
@@ -258,7 +261,7 @@ impl PatternsRun {
         Ok(PatternsSummary { files, wall_time_s: begun.elapsed().as_secs_f64() })
     }
 
-    /// What is simulated, and where it goes.
+    /// Returns the run that simulates and writes.
     fn run<'a>(&'a self, command_line: &'a str) -> PatternRun<'a> {
         PatternRun { job: &self.job, output: &self.output, command_line }
     }
@@ -269,14 +272,14 @@ impl PatternsRun {
         let [x, y] = self.job.scan().step_angstrom;
         if (x / y - 1.0).abs() > 1e-3 {
             warnings.push(format!(
-                "probes are {x:.4} A apart along x and {y:.4} A along y; py4DSTEM takes them for equal: give --scan-points that make \
-                 them so"
+                "probes are {x:.4} A apart along x and {y:.4} A along y; py4DSTEM assumes equal distances: choose --scan-points that make \
+                 them equal"
             ));
         }
         warnings
     }
 
-    /// Says what would be done.
+    /// Prints the plan.
     pub fn dry_run(&self, common: &Common) -> anyhow::Result<()> {
         let mut plan = self.job.report()?;
         plan.warnings = self.warnings();
@@ -362,12 +365,12 @@ fn picture_of(path: &Path) -> PathBuf {
 }
 
 impl PatternsSummary {
-    /// The files.
+    /// Returns the files that were written.
     pub fn paths(&self) -> impl Iterator<Item = &Path> {
         self.files.iter().map(|file| file.output.as_path())
     }
 
-    /// What to print.
+    /// Returns the summary as text.
     pub fn text(&self) -> String {
         let mut lines = Lines::default();
         for file in &self.files {

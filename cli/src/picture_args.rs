@@ -7,21 +7,22 @@ use stemgen::render::{Colormap, Overlay, WorldPicture};
 /// Longest side of a picture in pixels.
 const SIDES: std::ops::RangeInclusive<i64> = 64..=16_384;
 
-/// What a picture of a world shows, and how.
+/// Holds the options of pictures of worlds and images.
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Picture")]
 pub struct PictureArgs {
-    /// The noiseless image: of a world built with --keep-clean, or what a recording was meant to show
+    /// Draw the noise-free image: of a world built with --keep-clean, or the ideal image of a recording
     #[arg(long)]
     pub clean: bool,
-    /// Colours
+    /// Colour map
     #[arg(long, value_name = "NAME", default_value = "gray")]
     pub colormap: ColormapName,
-    /// Percentiles of the image that become the first and the last colour
+    /// Percentiles of the image that get the first and the last colour
     #[arg(long, value_name = "LOW,HIGH", default_value = "0.1,99.9")]
     #[arg(value_parser = values::percentiles)]
     pub contrast: Values,
-    /// What is drawn over the image (comma between several)
-    #[arg(long, value_name = "WHAT", value_delimiter = ',')]
+    /// Parts of the ground truth to draw over the image; separate several by commas
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     pub overlay: Vec<OverlayName>,
     /// Longest side of the picture in pixels, without the legend
     #[arg(long, value_name = "PIXELS", default_value_t = 1600, conflicts_with = "html")]
@@ -52,14 +53,14 @@ impl From<ColormapName> for Colormap {
     }
 }
 
-/// What is drawn over an image.
+/// Part of the ground truth that is drawn over an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum OverlayName {
-    /// Columns with vacant or substituted sites: rings, or a tint where columns are too small
+    /// Columns with vacant or substituted sites, as rings; as a tint if columns are too small for rings
     Defects,
-    /// Phases, and the boundaries of phases and grains
+    /// Phases (regions of one crystal), and the boundaries of phases and grains
     Phases,
-    /// The boundaries of phases and grains alone
+    /// Only the boundaries of phases and grains
     Boundaries,
     /// Particles
     Particles,
@@ -80,7 +81,7 @@ impl From<OverlayName> for Overlay {
 }
 
 impl PictureArgs {
-    /// What is asked for.
+    /// Returns the settings of the picture.
     pub fn picture(&self) -> WorldPicture {
         WorldPicture {
             clean: self.clean,

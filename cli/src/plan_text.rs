@@ -11,14 +11,14 @@ fn grid(grid: &GridReport) -> String {
     format!("{nx} x {ny} points over {lx:.2} x {ly:.2} A ({sx:.4} x {sy:.4} A)")
 }
 
-/// Name and value, line by line, of all but costs.
+/// Adds names and values of a plan, without memory and time.
 pub fn all(plan: &PlanReport, out: &mut Lines) {
     numerics(plan, out);
     let recorded = plan.thicknesses_angstrom.iter().map(|t| format!("{t:.2}"));
     out.add("recorded at", format!("{} A", recorded.collect::<Vec<_>>().join(", ")));
 }
 
-/// The same but for the thicknesses.
+/// Adds names and values of the numerics of a plan.
 pub fn numerics(plan: &PlanReport, out: &mut Lines) {
     out.add("algorithm", plan.algorithm.to_string());
     out.add("wave grid", grid(&plan.wave_grid));
@@ -49,7 +49,7 @@ pub fn numerics(plan: &PlanReport, out: &mut Lines) {
     );
 }
 
-/// Memory, time and warnings.
+/// Adds memory, time and warnings.
 pub fn costs(plan: &PlanReport, out: &mut Lines) {
     out.add("memory", format!("about {}", text::bytes(plan.memory_bytes)));
     let plural = if plan.threads == 1 { "thread" } else { "threads" };
@@ -60,7 +60,7 @@ pub fn costs(plan: &PlanReport, out: &mut Lines) {
     }
 }
 
-/// One line about a scan.
+/// Describes a scan in one line.
 pub fn scan(scan: &Scan) -> String {
     let [rows, columns] = scan.shape;
     let [x, y] = scan.step_angstrom;
@@ -69,10 +69,10 @@ pub fn scan(scan: &Scan) -> String {
     format!("{n}: {columns} x {rows}, {x:.4} x {y:.4} A apart, from {x0:.3}, {y0:.3} A")
 }
 
-/// One line about the beam and the lens.
+/// Describes the beam and the lens in one line.
 pub fn beam(optics: &stemgen::optics::Optics) -> String {
     let mut text = format!("{} keV, {} mrad", optics.energy_ev / 1e3, optics.semiangle_mrad);
-    // Several are one: abTEM's numerics move the focus by half a slice.
+    // The sum of all defocus terms is printed, since abTEM's numerics add a second one of half a slice.
     let defocus = optics.aberrations.defocus_angstrom();
     if defocus != 0.0 {
         text += &format!(", defocus {defocus} A");
@@ -94,17 +94,17 @@ pub fn beam(optics: &stemgen::optics::Optics) -> String {
 pub struct Lines(Vec<(String, String)>);
 
 impl Lines {
-    /// Adds a line. Names and values may be those of a file: each stays one line.
+    /// Adds a line. Names and values may come from a file, so line ends in them are escaped.
     pub fn add(&mut self, name: impl AsRef<str>, value: impl AsRef<str>) {
         self.0.push((text::one_line(name.as_ref()), text::one_line(value.as_ref())));
     }
 
-    /// Names and values.
+    /// Returns names and values.
     pub fn into_rows(self) -> Vec<(String, String)> {
         self.0
     }
 
-    /// The table, names and values in columns.
+    /// Returns the table, with names and values in columns.
     pub fn text(&self) -> String {
         let width = self.0.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
         let lines = self.0.iter().map(|(name, value)| format!("{name:width$}  {value}"));

@@ -9,10 +9,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use stemgen::progress::Progress;
 
-/// Lines of progress: the first after, then every.
+/// Time until the first line of progress, and between lines.
 const FIRST_LINE: Duration = Duration::from_secs(2);
 const LINE_EVERY: Duration = Duration::from_secs(8);
-/// The rate is that of the last so many seconds.
+/// Time over which the rate is averaged.
 const RATE_WINDOW: Duration = Duration::from_secs(60);
 
 /// Draws progress.
@@ -21,7 +21,7 @@ pub struct Reporter {
     begun: Instant,
     done: AtomicU64,
     found: AtomicU64,
-    /// Milliseconds since `begun` before which there is nothing to draw.
+    /// Time of the next drawing, in ms since `begun`.
     next_ms: AtomicU64,
     stage: Mutex<Option<BarStage>>,
 }
@@ -49,7 +49,7 @@ struct Meter {
 }
 
 impl Reporter {
-    /// Tells nothing if `quiet`.
+    /// Makes a reporter, which prints nothing if `quiet`.
     pub fn new(quiet: bool) -> Self {
         let mode = match (quiet, std::io::stderr().is_terminal()) {
             (true, _) => Mode::Quiet,
@@ -67,11 +67,11 @@ impl Reporter {
     }
 
     fn stage(&self) -> MutexGuard<'_, Option<BarStage>> {
-        // What is drawn is right even if another thread panicked while drawing.
+        // The values stay valid even if another thread panicked while drawing.
         self.stage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Tells something that is no warning, as progress does.
+    /// Prints a message that is no warning, on standard error.
     pub fn note(&self, message: &str) {
         if self.mode != Mode::Quiet && !self.interrupted() {
             text::complain(message);
@@ -132,7 +132,7 @@ impl Progress for Reporter {
     }
 
     fn warn(&self, message: &str) {
-        // After Ctrl-C the error and its hint say what matters.
+        // After Ctrl-C the error and its hint are enough.
         if self.mode == Mode::Quiet || self.interrupted() {
             return;
         }
@@ -175,8 +175,8 @@ impl BarStage {
 }
 
 impl Meter {
-    /// Units per second since the first sample, which comes with the first unit, so that what had to
-    /// be prepared does not count; unknown at first.
+    /// Returns units per second since the first sample; `None` at first. The first sample comes with the first unit, so that the time of
+    /// preparations does not count.
     fn rate(&mut self, now: Instant, done: u64) -> Option<f64> {
         if self.samples.back().is_none_or(|(t, _)| now > *t + Duration::from_secs(1)) {
             self.samples.push_back((now, done));
@@ -219,7 +219,7 @@ mod tests {
     fn a_rate_is_finite_whatever_the_clock_says() {
         let begun = Instant::now() + Duration::from_secs(1 << 20);
         let mut meter = Meter { begun, samples: VecDeque::new() };
-        // to and fro, a machine that slept, and standing still
+        // The clock jumps to and fro, as on a machine that slept, and stands still.
         for (i, s) in
             [5, 3, 1 << 19, 4, 4, 4, 1 << 30, 7, 0].into_iter().cycle().take(100).enumerate()
         {

@@ -11,41 +11,41 @@ use stemgen::io::WorldFile;
 use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe, is_atoms_file};
 use stemgen::world::WorldEngine;
 
-/// The recipe.
+/// Holds the options that choose a recipe and change it.
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Recipe")]
 pub struct RecipeArgs {
-    /// Material or other recipe that comes with the program (`stemgen list` shows them), or a file of one's own: a recipe
-    /// (.toml), or atoms (.xyz, .extxyz, .cif, POSCAR)
-    #[arg(value_name = "MATERIAL", required_unless_present = "recipe")]
+    /// Recipe of the program (`stemgen list` prints them), or your own file: a recipe (.toml), or atoms (.xyz, .extxyz, .cif,
+    /// POSCAR). A recipe describes a specimen and its microscope. `acquire`, `audit` and `tiles` also take a world file (.h5)
+    #[arg(value_name = "MATERIAL", required_unless_present = "recipe", help_heading = None)]
     material: Option<String>,
-    /// How many defects and how much dose, where the recipe has tiers
+    /// Tier of the recipe: how many defects, and how much dose. Needed if the recipe has tiers
     #[arg(long, value_name = "TIER")]
     difficulty: Option<Tier>,
-    /// Recipe (TOML) in place of MATERIAL; without --difficulty if it has no tiers
+    /// Recipe file (TOML), in place of MATERIAL. Leave out --difficulty if it has no tiers
     #[arg(long, value_name = "FILE", conflicts_with = "material")]
     recipe: Option<PathBuf>,
-    /// Change a value of the recipe, such as vacancies.rate=0.02 (repeatable); `stemgen show-recipe`
-    /// prints all keys
+    /// Change a value of the recipe, such as vacancies.rate=0.02 (repeatable). `stemgen show-recipe` prints all keys
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Take a value or a table out of the recipe, such as vacancies or boundaries.sigma (repeatable)
+    /// Remove a value or a table of the recipe, such as vacancies or boundaries.sigma (repeatable)
     #[arg(long, value_name = "KEY")]
     unset: Vec<String>,
-    /// Only the central tiles, rows x columns [default: the whole field]
+    /// Use only the central tiles of the field, rows x columns [default: the whole field]
     #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
     grid: Option<[usize; 2]>,
-    /// Seed of all random numbers [default: that of the recipe]
+    /// Seed of all random numbers [default: the seed of the recipe]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
 }
 
 impl RecipeArgs {
-    /// The recipe, resolved, changed and checked.
+    /// Returns the chosen recipe, changed and checked.
     pub fn resolve(&self) -> anyhow::Result<CheckedRecipe> {
         self.changed(self.chosen()?)
     }
 
-    /// A recipe with what the other options ask for, checked.
+    /// Applies the other options to a recipe, and checks it.
     pub fn changed(&self, recipe: Recipe) -> anyhow::Result<CheckedRecipe> {
         let mut recipe = recipe.with_overrides(&self.changes()?)?;
         recipe.seed = self.seed.unwrap_or(recipe.seed);
@@ -55,12 +55,13 @@ impl RecipeArgs {
         Ok(recipe.checked()?)
     }
 
-    /// The same, or the recipe of a world file named in place of a material, and how that world was made.
+    /// Returns the chosen recipe, or the recipe of a world file that is named in place of a material, with the engine of that world.
     pub fn resolve_or_world(&self) -> anyhow::Result<(CheckedRecipe, Option<WorldEngine>)> {
         self.resolve_or_world_but(None)
     }
 
-    /// The same; `--set` and `--unset` may change a table of a world's recipe that its specimen and image do not depend on.
+    /// Does the work of [`RecipeArgs::resolve_or_world`], and lets `--set` and `--unset` change one table of a world's recipe that its
+    /// specimen and image do not depend on.
     pub fn resolve_or_world_with(
         &self,
         table: &'static str,
@@ -97,7 +98,7 @@ impl RecipeArgs {
         Ok((recipe.with_overrides(&self.changes()?)?.checked()?, made))
     }
 
-    /// The world that stands in place of a material, if its file holds no recipe: an image that was recorded, or one of another
+    /// Opens the world that is named in place of a material, if its file holds no recipe: a recorded image, or an image of another
     /// program.
     pub fn world_without_recipe(&self) -> anyhow::Result<Option<WorldFile>> {
         let Some(file) = self.world().filter(|file| file.is_file()) else { return Ok(None) };
@@ -119,19 +120,19 @@ impl RecipeArgs {
         Ok(Some(world))
     }
 
-    /// What `--unset` and `--set` ask for.
+    /// Returns the changes of `--unset` and `--set`, in this order.
     fn changes(&self) -> anyhow::Result<Vec<Override>> {
         let removed = self.unset.iter().map(|key| Override::without(key));
         let changed = self.set.iter().map(|text| text.parse());
         Ok(removed.chain(changed).collect::<stemgen::Result<_>>()?)
     }
 
-    /// The world that stands in place of a material.
+    /// Returns the world file that is named in place of a material.
     pub fn world(&self) -> Option<PathBuf> {
         self.material.as_ref().map(PathBuf::from).filter(|f| is_world(f))
     }
 
-    /// The file of the recipe, if it is none of the program's own.
+    /// Returns the file of the recipe, unless it is a recipe of the program.
     fn file(&self) -> Option<PathBuf> {
         let named = || self.material.as_deref().filter(|m| is_recipe_file(m)).map(PathBuf::from);
         self.recipe.clone().or_else(named)
@@ -143,7 +144,7 @@ impl RecipeArgs {
             return Ok(Recipe::from_file(&file, difficulty)?);
         }
         let Some(material) = &self.material else {
-            anyhow::bail!("MATERIAL or --recipe is needed");
+            anyhow::bail!("no recipe is named; give MATERIAL or --recipe FILE");
         };
         let tiers = Recipe::tiers(material)?;
         if difficulty.is_none() && !tiers.is_empty() {
@@ -154,7 +155,7 @@ impl RecipeArgs {
         Ok(Recipe::load(material, difficulty)?)
     }
 
-    /// The files that a recipe is read from: its own, and those of its crystals and atoms.
+    /// Returns the files that a recipe is read from: the recipe file, and the files of its crystals and atoms.
     pub fn files(&self, recipe: &Recipe) -> Vec<PathBuf> {
         let Some(file) = self.file() else { return Vec::new() };
         let folder = file.parent().unwrap_or(Path::new(""));
@@ -166,30 +167,30 @@ impl RecipeArgs {
         std::iter::once(file.clone()).chain(crystals).chain(atoms).collect()
     }
 
-    /// The same, and a world that stands in place of a material.
+    /// Returns the files of the recipe, and a world file that is named in place of a material.
     pub fn inputs(&self, recipe: &Recipe) -> Vec<PathBuf> {
         self.files(recipe).into_iter().chain(self.world()).collect()
     }
 
-    /// `MATERIAL[_TIER][_RxC][_seedN]`, the usual beginning of the name of a result.
+    /// Returns `MATERIAL[_TIER][_RxC][_seedN]`, the default name of a result without its ending.
     pub fn stem(&self, recipe: &Recipe) -> String {
         self.stem_of(recipe, self.chosen().ok().map(|r| r.seed))
     }
 
-    /// The same for a recipe whose own seed is known.
+    /// Returns the default name of a result for a recipe file with the seed `own`.
     pub fn stem_of(&self, recipe: &Recipe, own: Option<u64>) -> String {
         let grid = self.grid.map(|[r, c]| format!("_{r}x{c}")).unwrap_or_default();
         let seed = (own != Some(recipe.seed)).then(|| format!("_seed{}", recipe.seed));
         format!("{}{grid}{}", world_name(recipe), seed.unwrap_or_default())
     }
 
-    /// The tier.
+    /// Returns the tier that is asked for.
     pub fn difficulty(&self) -> Option<Difficulty> {
         self.difficulty.map(Difficulty::from)
     }
 }
 
-/// Whether a name is that of a recipe's file, or of a file of atoms, for which there is a recipe too.
+/// Whether a name is the name of a recipe file, or of a file of atoms, from which a recipe is made.
 pub fn is_recipe_file(name: &str) -> bool {
     let path = Path::new(name);
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")) || is_atoms_file(path)

@@ -2,8 +2,8 @@
 
 use stemgen::recipe::{Difficulty, Recipe};
 
-/// The recipes of some materials that come with the program, or of all of them, at one tier or at all; by material, then tier. A recipe
-/// without tiers is left out where a tier is asked for and it is not named.
+/// Returns the program's recipes of some materials, or of all, at one tier or at all tiers, ordered by material and tier. If a tier is
+/// asked for, a recipe without tiers is returned only if its material is named.
 pub fn recipes(
     materials: &[String],
     difficulty: Option<Difficulty>,
@@ -29,7 +29,7 @@ pub fn recipes(
     Ok(chosen)
 }
 
-/// `srtio3_hard`, or `test` of a recipe without tiers: the name of its world.
+/// Returns the name of the world of a recipe: `srtio3_hard`, or `test` for a recipe without tiers.
 pub fn world_name(recipe: &Recipe) -> String {
     let tier = recipe.tier.map(|t| format!("_{}", t.name())).unwrap_or_default();
     format!("{}{tier}", recipe.id)

@@ -1,4 +1,4 @@
-//! Where the pixels of a reference lie: what its file tells, and the options tell of the rest.
+//! The scan of a reference: from its file, and from options where the file does not state it.
 
 use super::hints::hinted;
 use super::scan_args::ScanArgs;
@@ -8,10 +8,10 @@ use stemgen::optics::Optics;
 use stemgen::simulation::ScanRequest;
 use stemgen::validate::user::Reference;
 
-/// How far pixels of a file and of the options may differ.
+/// Largest relative difference between the pixels of a file and of the options.
 const SAME_PIXEL: f64 = 1e-3;
 
-/// The numbers of pixels (x, y) that the options tell by themselves.
+/// Returns the numbers of pixels (x, y) that follow from the options without the file, if they do.
 pub fn asked_pixels(args: &ScanArgs, optics: &Optics) -> anyhow::Result<Option<[usize; 2]>> {
     if args.scan_points.is_some() {
         return Ok(args.scan_points);
@@ -25,7 +25,7 @@ pub fn asked_pixels(args: &ScanArgs, optics: &Optics) -> anyhow::Result<Option<[
     }
 }
 
-/// The scan of a reference. What neither the file nor the options tell is asked for.
+/// Returns the scan of a reference. The error asks for parts of it that neither the file nor the options state.
 pub fn reference_scan(
     args: Option<&ScanArgs>,
     optics: &Optics,
@@ -42,7 +42,7 @@ pub fn reference_scan(
                 "has {columns} x {rows} pixels (x, y), but the scan has {} x {}",
                 shape[1], shape[0]
             ));
-            let hint = "mend --scan-points or --scan-step, or leave them out; is --axes right?";
+            let hint = "change --scan-points or --scan-step, or leave them out; check --axes too";
             Err(hinted(fault, hint))
         }
     };
@@ -68,7 +68,7 @@ pub fn reference_scan(
     Ok(scan)
 }
 
-/// Nothing is guessed: abTEM's arrays say neither where a scan began nor where it ended.
+/// Returns the error for a scan that is not fully stated. abTEM's arrays hold neither the start nor the end of a scan, and none is guessed.
 fn untold(
     args: &ScanArgs,
     array: &ForeignArray,
@@ -82,9 +82,9 @@ fn untold(
         (false, false) => "--scan-start X,Y and --scan-end X,Y",
     };
     hinted(
-        array.error(format!("does not say where its {x} x {y} pixels (x, y) are")),
+        array.error(format!("does not state the place of its {x} x {y} pixels (x, y)")),
         format!(
-            "give {missing}: those of abtem.GridScan(start, end, endpoint=False). to_zarr and to_tiff tell the pixels, not the start"
+            "give {missing}, as in abtem.GridScan(start, end, endpoint=False). Files of to_zarr and to_tiff state the pixels, but not the start"
         ),
     )
 }
@@ -99,5 +99,5 @@ fn same_pixels(scan: &Scan, stated: Option<[f64; 2]>, array: &ForeignArray) -> a
         "has pixels of {:.4} x {:.4} A, but the scan has {:.4} x {:.4} A",
         stated[0], stated[1], step[0], step[1]
     ));
-    Err(hinted(fault, "leave --scan-end and --scan-step out: the file tells the pixels"))
+    Err(hinted(fault, "leave out --scan-end and --scan-step: the file states the pixels"))
 }

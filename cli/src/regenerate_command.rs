@@ -1,4 +1,4 @@
-//! `stemgen regenerate`: the released worlds once more.
+//! `stemgen regenerate`.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -23,42 +23,45 @@ use stemgen::world::{BuildOptions, WorldBuild, remove_leftovers};
 
 /// The released worlds, `worlds/manifest.toml`.
 const RELEASED: &str = include_str!("../../worlds/manifest.toml");
-/// No manifest is longer.
+/// Most bytes of a manifest.
 const LARGEST_MANIFEST: usize = 16 << 20;
 
 const EXAMPLES: &str = "\
 Examples:
-  One released world, in worlds/, and whether it is what was released:
+  Build one released world in worlds/, and compare it with the release:
     stemgen regenerate srtio3_hard
-  Are all of them what they were? Nothing is left behind:
+  Compare all of them with the release, and keep no file:
     stemgen regenerate --check
-  The worlds that a manifest of one's own lists:
+  Build the worlds of your own manifest:
     stemgen regenerate --manifest mine.toml -o mine/
 
-Each world is built with its image before noise, and compared with the manifest: the digests of its recipe, its
-truth, its tiles, and every other dataset and attribute. What differs, is missing, or was not released is named. The
-manifest lists digests of images for some kinds of processors; on another kind images are rounded differently, so only 64
-values before noise are compared. What was not compared is listed below the table.
-The exit code is 3 if a world differs, and 1 if one could not be made or compared.";
+A manifest lists released worlds and their digests. Each world is built with its noise-free image
+and compared with the manifest: its recipe, its truth, its tiles, and every other dataset and
+attribute. The table names parts that differ, are missing, or were not released. The manifest has
+digests of images for some kinds of processors. Other kinds round images differently, so 64 values
+before noise are compared instead. A list below the table names the parts that were not compared.
 
-/// Make released worlds again, and check that they are what was released
+Exit code: 0 if no world differs, 3 if one does, 1 if one could not be built or compared.";
+
+/// Build the released worlds again, and compare them with the release
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Regenerate {
     /// Worlds of the manifest, such as srtio3_hard [default: all]
     #[arg(value_name = "NAME")]
     names: Vec<String>,
-    /// Keep no world: build each in a folder that is removed
-    #[arg(long, conflicts_with = "output")]
+    /// Build each world in a temporary folder, and remove it
+    #[arg(long, conflicts_with = "output", help_heading = "Results")]
     check: bool,
-    /// Folder to write to [default: worlds]; worlds that are there are compared as they are
-    #[arg(short, long, value_name = "FOLDER")]
+    /// Folder to write to. A world that exists there is compared, not built again [default: worlds]
+    #[arg(short, long, value_name = "FOLDER", help_heading = "Results")]
     output: Option<PathBuf>,
-    /// List of worlds in place of that of the program
-    #[arg(long, value_name = "FILE")]
+    /// Manifest, in place of the manifest of the program
+    #[arg(long, value_name = "FILE", help_heading = "Manifest")]
     manifest: Option<PathBuf>,
-    /// Write what was found to the manifest of --manifest, which may be new; NAMEs may be any that come with the program
-    #[arg(long, requires = "manifest")]
+    /// Write the digests of the worlds to the file of --manifest, which may be new. NAME may then be any world of the program's
+    /// recipes
+    #[arg(long, requires = "manifest", help_heading = "Manifest")]
     pin: bool,
     #[command(flatten)]
     kept: CacheArgs,
@@ -73,20 +76,20 @@ struct Regenerated {
     name: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     sameness: Option<PinnedSameness>,
-    /// Why it could not be made or compared.
+    /// The reason why it could not be built or compared.
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
     engine: String,
     audit_bright_percent: Option<f64>,
     audit_all_percent: Option<f64>,
-    /// Nothing of a world that was there.
+    /// `None` for a world that existed.
     wall_time_s: Option<f64>,
-    /// The largest memory that the process has had so far.
+    /// The largest memory of the process so far.
     peak_memory_bytes: Option<u64>,
 }
 
 impl Regenerate {
-    /// Runs the subcommand; the exit code tells whether all worlds are what was released.
+    /// Runs the subcommand; the exit code is [`DIFFERENT`] if a world differs from the release.
     pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         let mut manifest = self.read_manifest()?;
@@ -97,7 +100,9 @@ impl Regenerate {
             return Ok(0);
         }
         if chosen.is_empty() {
-            anyhow::bail!("the manifest lists no worlds: nothing is made");
+            anyhow::bail!(
+                "the manifest lists no worlds, so nothing is built; name worlds, and give --pin to add them"
+            );
         }
         let mut all = Vec::new();
         for (number, recipe) in chosen.iter().enumerate() {
@@ -124,7 +129,7 @@ impl Regenerate {
         let failed = all.iter().filter(|r| r.error.is_some()).count();
         if failed > 0 {
             anyhow::bail!(
-                "{failed} of {} worlds were not compared; the same command tries them again",
+                "{failed} of {} worlds were not compared; repeat the command to try them again",
                 all.len()
             );
         }
@@ -144,7 +149,7 @@ impl Regenerate {
         Ok(Manifest::from_toml(&path.display().to_string(), &text)?)
     }
 
-    /// The recipes of the worlds that are asked for.
+    /// Returns the recipes of the named worlds.
     fn chosen(&self, manifest: &Manifest) -> anyhow::Result<Vec<CheckedRecipe>> {
         let mut left: Vec<&String> = self.names.iter().collect();
         let mut chosen = Vec::new();
@@ -164,7 +169,7 @@ impl Regenerate {
         Ok(chosen)
     }
 
-    /// Makes a world, or opens it where it is, and looks at it.
+    /// Builds a world, or opens it if it exists, and computes its digests.
     fn one(
         &self,
         name: &str,
@@ -196,10 +201,10 @@ impl Regenerate {
             made.engine = summary.engine;
         }
         let found = PinnedWorld::of(name, &WorldFile::open(&path)?, reporter);
-        // Worlds that this command builds have it.
+        // Only a world that existed can lack the noise-free image.
         let found = found.map_err(|error| match error {
             stemgen::Error::Choice { .. } => anyhow::anyhow!(
-                "{}: holds no noiseless image to compare; move it away, and it is built again with one",
+                "{}: holds no noiseless image to compare; move it away, so that the world is built again with this image",
                 path.display()
             ),
             error => error.into(),
@@ -208,7 +213,7 @@ impl Regenerate {
     }
 }
 
-/// Nothing is known of a world yet.
+/// Returns the report of a world of which nothing is known yet.
 fn new(name: &str) -> Regenerated {
     Regenerated {
         name: name.to_owned(),
@@ -222,7 +227,7 @@ fn new(name: &str) -> Regenerated {
     }
 }
 
-/// The most memory that this process has had, where the system tells it.
+/// Returns the largest memory of this process, on systems that report it.
 fn peak_memory() -> Option<u64> {
     let status = std::fs::read_to_string(Path::new("/proc/self/status")).ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
@@ -258,7 +263,7 @@ fn table(all: &[Regenerated]) -> String {
     [text::table(&rows)].into_iter().chain(not_compared(all)).collect::<Vec<_>>().join("\n")
 }
 
-/// What was not compared of the worlds that are the same, each list once with the names of its worlds.
+/// Lists the parts of equal worlds that were not compared: each list once, with the names of its worlds.
 fn not_compared(all: &[Regenerated]) -> Vec<String> {
     let mut lists: Vec<(&[String], Vec<&str>)> = Vec::new();
     for r in all {

@@ -1,4 +1,4 @@
-//! `--write-request`: everything that decides a simulation, in a file.
+//! `--write-request`: all settings that decide a simulation, in a file.
 
 use super::common::Common;
 use super::plan_text::Lines;
@@ -36,7 +36,7 @@ impl RequestFile<'_> {
         let path = self.path;
         if !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("toml")) {
             bail!(
-                "--write-request {}: a request is known by its ending; did you mean {}?",
+                "--write-request {}: the name of a request ends in .toml; did you mean {}?",
                 path.display(),
                 path.with_extension("toml").display()
             );

@@ -17,34 +17,35 @@ use stemgen::simulation::{AtomsSource, SimulatedImage, SimulationJob, Simulation
 
 const EXAMPLES: &str = "\
 Examples:
-  The images of a file, made again and compared with those it holds:
+  Simulate the images of a file again, and compare them with the stored ones:
     stemgen rerun si.h5
-  The diffraction patterns of a file, made again:
+  Simulate the diffraction patterns of a file again:
     stemgen rerun srtio3.emd
-  The same where the structure file has moved, with pictures:
+  The structure file has moved; write pictures too:
     stemgen rerun si.h5 --structure data/si.cif -o again.h5 --png
 
-Pixels are the same bits with the same version of the numerics on the same kind of processor. The exit code is 3 if a
-pixel differs.";
+With one version of the numerics, on one kind of processor, every pixel has identical bits.
 
-/// Make the images or patterns of a file again, and compare them
+Exit code: 0 if all pixels are identical, 3 if one differs, 1 on errors.";
+
+/// Simulate the images or patterns of a file again, and compare every value
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Rerun {
-    /// A file that `stemgen simulate` or `stemgen patterns` wrote
+    /// File of images or patterns, written by `stemgen simulate` or `stemgen patterns`
     #[arg(value_name = "FILE", help_heading = None)]
     file: PathBuf,
-    /// The structure file, where it is not where the request says
-    #[arg(long, value_name = "FILE")]
+    /// Structure file [default: the file that the request names]
+    #[arg(long, value_name = "FILE", help_heading = "Specimen")]
     structure: Option<PathBuf>,
     /// File to write [default: FILE_rerun.h5, or FILE_rerun.emd for patterns]
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE", help_heading = "Results")]
     output: Option<PathBuf>,
     /// Replace existing files
-    #[arg(long)]
+    #[arg(long, help_heading = "Results")]
     overwrite: bool,
-    /// Also write a picture of every image, beside the file
-    #[arg(long)]
+    /// Also write a picture (PNG) of every image, beside the file
+    #[arg(long, help_heading = "Results")]
     png: bool,
     #[command(flatten)]
     common: Common,
@@ -53,7 +54,7 @@ pub struct Rerun {
 }
 
 impl Rerun {
-    /// Runs the subcommand; the exit code tells whether the values are the same.
+    /// Runs the subcommand; the exit code is [`DIFFERENT`] if a value differs.
     pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         hdf5_check::check(&self.file)?;
@@ -78,9 +79,9 @@ impl Rerun {
         Ok(if same { 0 } else { DIFFERENT })
     }
 
-    /// Makes the patterns of a file again, with those of its series, and compares those of its thickness and defocus.
+    /// Simulates the whole series of a file of patterns again, and compares the patterns of its thickness and defocus.
     fn patterns(self, stored: &PatternFile, reporter: &Reporter) -> anyhow::Result<u8> {
-        // Windows depend on the whole series of thicknesses and defocus, and so do the draws of electrons: all of it is made again.
+        // Windows and the draws of electrons depend on the whole series of thicknesses and defocus, so all of it is simulated again.
         let request =
             self.request(stored.request.as_deref(), stored.structure_sha256.as_deref())?;
         let header = stored.header();
@@ -109,14 +110,17 @@ impl Rerun {
             }
         }
         let Some(difference) = found else {
-            bail!("{}: its request makes no such thickness and defocus", self.file.display());
+            bail!(
+                "{}: its request has another thickness or defocus than its patterns; simulate them again with `stemgen patterns`",
+                self.file.display()
+            );
         };
         let words = format!("{}{}\n", summary.text(), difference.text());
         self.common.print(&difference, &words)?;
         Ok(if difference.same() { 0 } else { DIFFERENT })
     }
 
-    /// The request of the file, with the structure file that it was made from.
+    /// Returns the request of the file, and checks that the structure file is the one that it was made from.
     fn request(
         &self,
         text: Option<&str>,
@@ -129,7 +133,7 @@ impl Rerun {
             );
         };
         let mut request: SimulationRequest = serde_json::from_str(text)
-            .with_context(|| format!("{file}: its request is not one of this version"))?;
+            .with_context(|| format!("{file}: holds a request that this version cannot read"))?;
         if let Some(structure) = &self.structure {
             request.structure = AtomsSource::File(structure.clone());
         }
@@ -150,10 +154,10 @@ impl Rerun {
     }
 }
 
-/// How patterns that were made again differ from those of a file.
+/// The difference between new patterns and the patterns of a file.
 #[derive(Debug, serde::Serialize)]
 struct PatternDifference {
-    /// Values that have other bits; nothing where the patterns have another size.
+    /// Number of values with other bits; `None` if the patterns have another size.
     values: Option<u64>,
     /// The largest difference in units of the maximum.
     largest: f32,
@@ -193,18 +197,18 @@ impl PatternDifference {
     }
 }
 
-/// How an image that was made again differs from the one in a file.
+/// The difference between a new image and the image in a file.
 #[derive(Debug, serde::Serialize)]
 pub struct ImageDifference {
     name: String,
-    /// Pixels that have other bits, at all thicknesses; nothing where the file has no such image.
+    /// Number of pixels with other bits, over all thicknesses; `None` if the file has no such image.
     pixels: Option<usize>,
     /// The largest difference in units of the image's maximum.
     largest: Option<f32>,
 }
 
 impl ImageDifference {
-    /// Compares an image, at every thickness, with that of a file.
+    /// Compares an image with the image in a file, at every thickness.
     pub fn of(image: &SimulatedImage, stored: &StoredImages) -> stemgen::Result<Self> {
         let none = ImageDifference { name: image.name.clone(), pixels: None, largest: None };
         if !stored.names.contains(&image.name) {
@@ -225,12 +229,12 @@ impl ImageDifference {
         Ok(ImageDifference { pixels: Some(pixels), largest: Some(largest), ..none })
     }
 
-    /// Whether all bits are the same.
+    /// Whether all bits are identical.
     pub fn same(&self) -> bool {
         self.pixels == Some(0)
     }
 
-    /// What to tell.
+    /// Returns the difference as text.
     pub fn text(&self) -> String {
         match (self.pixels, self.largest) {
             (Some(0), _) => format!("{}: the same bits", self.name),

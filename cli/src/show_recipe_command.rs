@@ -6,11 +6,11 @@ use clap::Args;
 
 const EXAMPLES: &str = "\
 Examples:
-  All keys and values of a tier:
+  Print all keys and values of a tier:
     stemgen show-recipe srtio3 --difficulty hard
-  What a change does, checked before anything is built:
+  Check a change, and print the changed recipe:
     stemgen show-recipe srtio3 --difficulty hard --set vacancies.rate=0.02 --grid 2x2
-  A recipe of your own to start from:
+  Write a recipe file to start from, and build it:
     stemgen show-recipe srtio3 --difficulty easy > mine.toml
     stemgen build --recipe mine.toml";
 

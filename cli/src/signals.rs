@@ -1,16 +1,16 @@
-//! Ctrl-C and other wishes of the system that the program end.
+//! Ctrl-C and other signals that ask the program to end.
 //!
-//! The first signal asks: what runs stops where it can be gone on from, and says so. What has not ended a second later, or at the
-//! second signal, is ended then, whatever it does; unfinished files are removed first. A signal that was ignored when the program
-//! began (SIGHUP under `nohup`) stays ignored.
+//! After the first signal, the running command stops at a point from which it can continue. If it has not stopped after a second, or
+//! at the second signal, the program removes unfinished files and ends at once. A signal that was ignored when the program began
+//! (SIGHUP under `nohup`) stays ignored.
 
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::{Arc, LazyLock};
 
-/// Number of the signal that came last, 0 before. The handler itself sets it, so the thread that a signal meets knows of it at once.
+/// Number of the last signal; 0 before the first. The handler sets it, so that the interrupted thread sees it at once.
 static SIGNAL: LazyLock<Arc<AtomicUsize>> = LazyLock::new(Arc::default);
 
-/// Number of SIGINT, where no other is known.
+/// Number of SIGINT, used if no other number is known.
 const INTERRUPT: usize = 2;
 
 /// Whether the program was asked to stop.
@@ -18,7 +18,7 @@ pub fn asked_to_stop() -> bool {
     SIGNAL.load(Relaxed) != 0
 }
 
-/// The exit code of a program that was interrupted, as shells have it: 128 and the number of the signal.
+/// Returns the exit code of an interrupted program, as shells define it: 128 plus the number of the signal.
 pub fn exit_code() -> u8 {
     let signal = match SIGNAL.load(Relaxed) {
         0 => INTERRUPT,
@@ -27,10 +27,10 @@ pub fn exit_code() -> u8 {
     128 + u8::try_from(signal).unwrap_or_default()
 }
 
-/// Listens from now on.
+/// Listens to signals from now on.
 ///
 /// # Errors
-/// Those of the system.
+/// Errors of the system that refuses a handler or a thread.
 #[cfg(unix)]
 pub fn listen() -> std::io::Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -45,7 +45,7 @@ pub fn listen() -> std::io::Result<()> {
     Ok(())
 }
 
-/// Elsewhere the system ends the program.
+/// Does nothing: on other systems a signal ends the program.
 ///
 /// # Errors
 /// None.
@@ -62,7 +62,7 @@ mod unix {
     use std::time::Duration;
     use stemgen::files::unfinished;
 
-    /// How long the program has to end by itself.
+    /// Time after which a program that has not stopped is ended.
     const GRACE: Duration = Duration::from_secs(1);
 
     pub fn serve(mut signals: Signals) {
@@ -81,16 +81,16 @@ mod unix {
         }
     }
 
-    /// Ends the program without asking its threads: they may be anywhere, in HDF5 too, so nothing of theirs is run.
+    /// Ends the program at once. Its threads may be inside HDF5, so no clean-up code of theirs is run.
     fn end() -> ! {
         unfinished::remove_all();
         text::complain("error: interrupted");
-        text::complain("hint: run the same command again; a build goes on from what it has kept");
+        text::complain("hint: run the command again; a build continues from its finished work");
         signal_hook::low_level::exit(exit_code().into())
     }
 
-    /// A limit of the size of files (`ulimit -f`, quotas) is then an error of the write, which is told, in place of a signal that ends
-    /// the program without a word.
+    /// Ignores SIGXFSZ, so that a limit of file sizes (`ulimit -f`, quotas) makes a write fail with an error. The signal would end the
+    /// program without a message.
     #[allow(unsafe_code)]
     pub fn ignore_file_size() {
         // SAFETY: no handler is installed, and no thread but this one runs yet.
@@ -99,7 +99,7 @@ mod unix {
         }
     }
 
-    /// Whether the program was started with a signal ignored.
+    /// Whether a signal was ignored when the program started.
     #[allow(unsafe_code)]
     pub fn is_ignored(signal: i32) -> bool {
         // SAFETY: with no new action the call writes the present one to `found`, for which all zeros are a valid value.

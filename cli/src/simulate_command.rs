@@ -28,31 +28,33 @@ const EXAMPLES: &str = "\
 Examples:
   HAADF image of one unit cell of silicon, 54 A thick, with a picture and a page for the browser:
     stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --png --html
-  Two detectors, eight phonon configurations, at 20 and 39 A:
+  Two detectors, eight phonon configurations, thicknesses of 20 and 39 A:
     stemgen simulate srtio3.cif --repeat 4,4,10 --detector HAADF=68-200 --detector ABF=10-21 \\
       --phonons 8 --sigma Sr=0.084,Ti=0.060,O=0.085 --thicknesses 20,39.05
-  Along [110], with an aberrated probe; what would it take?
+  Silicon along [110] with an astigmatic probe; print time and memory only:
     stemgen simulate si.cif --zone 1,1,0 --repeat 4,3,20 --aberration C12=30@0.3 --dry-run
-  Frozen phonons from a trajectory, every fifth frame from the tenth on:
+  Mean over every fifth frame of a trajectory, from frame 10 to frame 200:
     stemgen simulate md.xyz --frames 10:200:5 --detector HAADF=68-200
-  A defocus series with a finite source, counted electrons, and TIFF for ImageJ:
+  Defocus series with a finite source, counted electrons, and TIFF for ImageJ:
     stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --defocus 0:100:20 \\
       --source-size 0.8 --dose 1e4 --tiff 16
-  In parts, on machines that see the same files; then the images from them:
-    stemgen simulate md.xyz --frames 10:200:5 --shard 0/4    # ... and 1/4, 2/4, 3/4
+  One scan in four parts, on machines that share a file system; then the images:
+    stemgen simulate md.xyz --frames 10:200:5 --shard 0/4    # and 1/4, 2/4, 3/4
     stemgen simulate md.xyz --frames 10:200:5
-  Everything that decides the images in a file, to be changed by hand and run:
+  Write all settings to a file (a request); then simulate it with another defocus:
     stemgen simulate si.cif --repeat 3,3,10 --write-request si.toml
     stemgen simulate si.toml --defocus 50
-  High-resolution TEM image at Scherzer-like defocus:
+  High-resolution TEM image near Scherzer defocus:
     stemgen simulate si.cif --repeat 2,2,5 --plane-wave --semiangle 12 --aberration C30=1.2e7 \\
       --defocus 650
 
-The file (HDF5) holds /images/NAME as float32 (thickness, y, x) in fractions of the incident beam,
-the atoms that were simulated below /specimen, and the settings and the request as attributes:
-`stemgen rerun FILE.h5` makes it again. NeXus readers open
-the images with their axes (/entry). `stemgen patterns` simulates diffraction patterns (4D-STEM), and
-`stemgen integrate` makes segments and the centre of mass of them.";
+Without --engine the program takes the fastest method whose error is at most --accuracy.
+
+The file (HDF5) holds each image as /images/NAME: float32, [thickness, y, x], fractions of the
+incident beam. /specimen holds the simulated atoms; attributes hold the settings and the request.
+NeXus readers find the images with their axes in /entry. `stemgen rerun FILE.h5` repeats the
+simulation and compares. `stemgen patterns` simulates diffraction patterns (4D-STEM), and
+`stemgen integrate` computes segments and the centre of mass from them.";
 
 /// Simulate images of a structure
 #[derive(Debug, Args)]
@@ -68,7 +70,7 @@ pub struct Simulate {
     numerics: NumericsArgs,
     #[command(flatten)]
     results: Results,
-    /// Write everything that decides the images to a file, and simulate nothing; `stemgen simulate FILE.toml` does
+    /// Write all settings that decide the images to a file, and simulate nothing. `stemgen simulate FILE.toml` simulates them
     #[arg(long, value_name = "FILE.toml", conflicts_with = "shard", help_heading = "Running")]
     write_request: Option<PathBuf>,
     #[command(flatten)]
@@ -77,49 +79,49 @@ pub struct Simulate {
     force: Force,
 }
 
-/// What is written.
+/// Holds the options of the results.
 #[derive(Debug, Default, Args)]
 #[command(next_help_heading = "Results")]
 pub struct Results {
-    /// Thicknesses in A at which images are recorded, moved to slice boundaries [default: the whole]
+    /// Thicknesses in A at which images are recorded, moved to slice boundaries [default: the whole specimen]
     #[arg(long, value_name = "A,A,...", value_delimiter = ',', value_parser = values::finite)]
     #[arg(allow_negative_numbers = true)]
     pub thicknesses: Vec<f64>,
-    /// Conventional imaging: the exit wave of a plane wave and its image through the lens
+    /// Simulate conventional imaging (TEM): the exit wave of a plane wave, and its image through the lens
     #[arg(long)]
     #[arg(conflicts_with_all = ["detector", "scan_start", "scan_end", "scan_step", "scan_points", "source_size"])]
     pub plane_wave: bool,
-    /// File to write [default: name of the structure with .h5, in the current folder]
+    /// File to write [default: name of the structure file with .h5, in the current folder]
     #[arg(short, long, value_name = "FILE.h5")]
     pub output: Option<PathBuf>,
     /// Replace existing files
     #[arg(long)]
     pub overwrite: bool,
-    /// Simulate part K (from 0) of N of the probes, for several processes, and keep it in FILE.work; `slurm`: that of a task
-    /// of a job array. The same command without it then writes the images
+    /// Simulate part K (from 0) of N of the probes, and store it in FILE.work; `slurm` takes K and N from the Slurm job array.
+    /// The command without --shard then finds the parts and writes the images
     #[arg(long, value_name = "K/N|slurm", value_parser = values::shard, conflicts_with = "plane_wave")]
     #[arg(help_heading = "Running")]
     pub shard: Option<Shard>,
-    /// Also write a picture of every image, beside the file; those of a series have one grey scale
+    /// Also write a picture (PNG) of every image, beside the file. The pictures of a series have one grey scale
     #[arg(long)]
     pub png: bool,
-    /// Draw the grey values into pictures, with the numbers that black and white stand for
+    /// Draw the grey scale into pictures, with the values of black and white
     #[arg(long, requires = "png")]
     pub grey_bar: bool,
     /// Leave the scale bar out of pictures
     #[arg(long, requires = "png")]
     pub no_scale_bar: bool,
-    /// Electrons per square Angstrom: also write the electrons counted (/counts/NAME) and the noisy image
+    /// Dose in electrons per square Angstrom. The file then also holds counted electrons (/counts/NAME) and the noisy image
     /// (NAME_noisy); --seed seeds the noise
     #[arg(long, value_name = "E/A^2", value_parser = values::positive)]
     pub dose: Option<f64>,
-    /// Also write TIFF of 8, 16 or 32 bits, one for each detector, with pixels and values calibrated for ImageJ; a series is a stack
+    /// Also write a TIFF file of 8, 16 or 32 bits for each detector. ImageJ reads its pixel size and its values; a series is a stack
     #[arg(long, value_name = "BITS")]
     pub tiff: Option<Bits>,
     /// Also write a file for HyperSpy (.hspy), beside the file
     #[arg(long)]
     pub hspy: bool,
-    /// Also write a page (HTML) that shows all images, beside the file; it works offline
+    /// Also write a page (HTML) with all images, beside the file. The page needs no network
     #[arg(long)]
     pub html: bool,
 }
@@ -147,15 +149,15 @@ struct ScanReport {
     columns: usize,
 }
 
-/// A simulation with what is written of it.
+/// A simulation, with the files that it writes.
 pub struct SimulateRun {
     pub(super) job: SimulationJob,
-    /// What was found for each defocus, where an accuracy is asked for.
+    /// The accuracy found for each defocus, if an accuracy is asked for.
     pub(super) accuracies: Vec<AccuracyReport>,
     pub(super) results: Results,
     pub(super) output: PathBuf,
     pub(super) common: Common,
-    /// A file with images of the same request, to compare with.
+    /// A file with images of an equal request, for comparison.
     pub(super) again_of: Option<StoredImages>,
     force: Force,
 }
@@ -172,7 +174,7 @@ impl Simulate {
             return written.write(request, &inputs, &self.common);
         }
         let given = self.results.output.clone();
-        // Of a request, in the current folder and with its name; of a structure the same.
+        // The structure file may lie in a folder that nobody may write to, so results go to the current folder.
         let output = given.unwrap_or_else(|| {
             let mut name = stem(&self.specimen.structure).into_os_string();
             name.push(".h5");
@@ -184,7 +186,7 @@ impl Simulate {
         run.run(&inputs, &reporter).map(drop)
     }
 
-    /// What is asked for.
+    /// Returns the request that the options describe.
     fn request(&self) -> anyhow::Result<SimulationRequest> {
         let mut request = self.specimen.request()?;
         self.microscope.apply(&mut request.microscope);
@@ -218,14 +220,14 @@ impl SimulateRun {
         Ok(SimulateRun { job, accuracies, results, output, common, again_of, force })
     }
 
-    /// Compares the images with those of a file.
+    /// Has the run compare its images with the images of a file.
     #[must_use]
     pub fn again_of(self, stored: StoredImages) -> Self {
         SimulateRun { again_of: Some(stored), ..self }
     }
 
-    /// Checks, and simulates; or tells what would be simulated. `inputs` are files that must not be replaced. Returns whether the
-    /// images are those of the file that they are compared with, if there is one.
+    /// Checks and simulates, or prints the plan. `inputs` are files that must not be replaced. Returns whether the images equal the
+    /// images of the file that they are compared with; true without such a file.
     pub fn run(mut self, inputs: &[PathBuf], reporter: &Reporter) -> anyhow::Result<bool> {
         let files = self.side_files();
         if !self.common.dry_run {
@@ -252,7 +254,7 @@ impl SimulateRun {
         self.execute(&files, reporter)
     }
 
-    /// What several processes may share.
+    /// Returns the scan, divided into parts for several processes.
     pub(super) fn parts(&self) -> anyhow::Result<ScanParts<'_>> {
         let (plans, frames) = (self.job.plans(), self.job.specimen().frames());
         Ok(ScanParts { plans, frames, scan: self.job.simulated_scan()?, output: &self.output })
@@ -327,12 +329,12 @@ impl SimulateRun {
         self.common.print(&all, &lines.text())
     }
 
-    /// Name of the file of the structure.
+    /// Returns the name of the structure file.
     pub(super) fn structure_name(&self) -> String {
         self.job.request().structure.file().map(file_name).unwrap_or_default()
     }
 
-    /// Names of the images: those without noise, then with.
+    /// Returns the names of the noise-free images, then of the noisy ones.
     fn image_names(&self) -> Vec<String> {
         let names = self.job.image_names();
         let noisy = names.iter().filter(|_| self.job.electrons_per_pixel().is_some());
@@ -340,7 +342,7 @@ impl SimulateRun {
         names.into_iter().chain(noisy).collect()
     }
 
-    /// Names of the series: those of the images without their defocus.
+    /// Returns the names of the series: the names of the images without their defocus.
     fn series_names(&self) -> Vec<String> {
         let job = &self.job;
         let names = job.detector_names();
@@ -349,7 +351,7 @@ impl SimulateRun {
         names.into_iter().chain(noisy).collect()
     }
 
-    /// The files beside the one with all images.
+    /// Returns the files that are written beside the file with all images.
     fn side_files(&self) -> SideFiles {
         let thicknesses = self.job.plans()[0].thicknesses_angstrom();
         let series = thicknesses.len() > 1;

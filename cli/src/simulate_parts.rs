@@ -1,4 +1,4 @@
-//! `stemgen simulate --shard`: one of several processes that share the probes of a scan, and what becomes of their parts.
+//! `stemgen simulate --shard`: the probes of a scan are divided among processes; their parts are stored, found and checked.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -19,7 +19,7 @@ use stemgen::world::work_folder;
 
 const EXTENSION: &str = "part";
 
-/// What is simulated, and where its parts lie.
+/// A scan, with the place where its parts are stored.
 pub struct ScanParts<'a> {
     pub plans: &'a [Plan],
     pub frames: Vec<&'a [Site]>,
@@ -27,15 +27,15 @@ pub struct ScanParts<'a> {
     pub output: &'a Path,
 }
 
-/// What a shard tells at its end.
+/// The report of a shard at its end.
 #[derive(Serialize)]
 struct ScanShardReport {
     output: PathBuf,
-    /// Its number, from 0, and how many there are.
+    /// Its number, from 0, and the number of shards.
     shard: [usize; 2],
-    /// Values that it has.
+    /// Number of its values.
     values: usize,
-    /// Whether it was there.
+    /// Whether it was stored already.
     resumed: bool,
     wall_time_s: f64,
 }
@@ -45,7 +45,7 @@ impl ScanParts<'_> {
         ArrayStore::new(work_folder(self.output), EXTENSION)
     }
 
-    /// All that decides the values, but for the number of the part.
+    /// Returns a digest of all settings and atoms that decide the values, without the number of the part.
     fn key(&self) -> String {
         let settings: Vec<_> = self.plans.iter().map(|plan| &plan.settings).collect();
         let grids: Vec<_> = self.plans.iter().map(|plan| format!("{:?}", plan.slices)).collect();
@@ -64,7 +64,7 @@ impl ScanParts<'_> {
         digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// Makes a part, and keeps it. Parts of other images are refused, and never removed.
+    /// Simulates a part and stores it. Refuses a folder with parts of other images, and never removes them.
     pub fn make(
         &self,
         shard: Shard,
@@ -91,7 +91,7 @@ impl ScanParts<'_> {
         Ok((report.text(), report))
     }
 
-    /// The parts that are there; none of them is of other images.
+    /// Reads the stored parts. Refuses a folder with parts of other images.
     pub fn read(&self, reporter: &Reporter) -> anyhow::Result<Vec<ScanPart>> {
         let (store, key) = (self.store(), self.key());
         let mut parts = Vec::new();
@@ -113,14 +113,14 @@ impl ScanParts<'_> {
         Ok(parts)
     }
 
-    /// Removes the parts, and their folder if nothing else lies in it.
+    /// Removes the parts, and their folder if it is empty then.
     pub fn remove(&self) -> anyhow::Result<()> {
         Ok(self.store().clear()?)
     }
 
-    /// The files of parts, with their shards.
+    /// Returns the files of parts, with their shards.
     ///
-    /// A damaged file may be of this series: it is made again. One whose key is another's is not.
+    /// A damaged file passes, since it may be a part of this scan; it is simulated again. A file with the key of other images is refused.
     fn found(&self, key: &str) -> anyhow::Result<Vec<(Shard, PathBuf)>> {
         let mut found = Vec::new();
         for path in self.store().files()?.arrays {
@@ -131,7 +131,7 @@ impl ScanParts<'_> {
                 .is_err_and(|why| why == "holds another image");
             if other {
                 bail!(
-                    "{}: is a part of other images, or of another version of the program; remove {} if nobody needs it, or name another output",
+                    "{}: is a part of other images, or of another version of the program; remove {} if you do not need it, or name another --output",
                     path.display(),
                     self.store().folder().display()
                 );
@@ -160,9 +160,10 @@ impl ScanShardReport {
         let mut lines = Lines::default();
         let [index, count] = self.shard;
         lines.add("shard", format!("{index}/{count} of {}", self.output.display()));
-        let was = if self.resumed { ", which were there" } else { "" };
+        let was = if self.resumed { ", which were stored already" } else { "" };
         lines.add("values", format!("{}{was}", text::count(self.values as u64)));
-        let next = "when all shards are done, the same command without --shard writes the images";
+        let next =
+            "when all shards are done, run the command without --shard: it writes the images";
         lines.add("next", next);
         lines.add("time", text::duration(self.wall_time_s));
         lines.text()

@@ -1,4 +1,4 @@
-//! What `stemgen simulate` makes and writes.
+//! Runs the simulations of `stemgen simulate`, and writes their files.
 
 use super::accuracy_report::AccuracyReport;
 use super::plan_text::Lines;
@@ -21,20 +21,20 @@ use stemgen::render::image_pictures::{self, GreyScale};
 use stemgen::simulation::SimulatedImage;
 use stemgen::world::work_folder;
 
-/// Files that go beside the one with all images.
+/// Files beside the file with all images.
 pub struct SideFiles {
     /// Pictures: image, thickness (index), file.
     pub pictures: Vec<(String, usize, PathBuf)>,
-    /// TIFF: series of images and file.
+    /// TIFF: name of a series of images, and file.
     pub tiffs: Vec<(String, PathBuf)>,
-    /// For HyperSpy.
+    /// File for HyperSpy.
     pub hspy: Option<PathBuf>,
-    /// A page for the browser.
+    /// Page for the browser.
     pub page: Option<PathBuf>,
 }
 
 impl SideFiles {
-    /// All of them.
+    /// Returns all files.
     pub fn paths(&self) -> impl Iterator<Item = &PathBuf> {
         let pictures = self.pictures.iter().map(|(_, _, path)| path);
         let tiffs = self.tiffs.iter().map(|(_, path)| path);
@@ -42,13 +42,13 @@ impl SideFiles {
     }
 }
 
-/// What a picture shows.
+/// The grey scale of a picture.
 #[derive(Serialize)]
 struct PictureLine {
     file: PathBuf,
-    /// The values of black and white; those of a series are the same.
+    /// The values of black and white, equal for all pictures of a series.
     grey_from_to: [f32; 2],
-    /// The share of pixels in percent whose values lie beyond.
+    /// The share of pixels in per cent whose values lie beyond black and white.
     clipped_percent: f64,
 }
 
@@ -65,12 +65,12 @@ struct SimulateSummary {
     hspy: Option<PathBuf>,
     page: Option<PathBuf>,
     images: Vec<ImageSummary>,
-    /// What was asked and found; a list for a series.
+    /// The accuracy that was asked for and found; a list for a series.
     #[serde(skip_serializing_if = "Option::is_none")]
     accuracy: Option<serde_json::Value>,
     #[serde(skip)]
     accuracies: Vec<AccuracyReport>,
-    /// Against the images of a file that was made before.
+    /// The comparison with the images of an earlier file.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     compared: Vec<ImageDifference>,
     wall_time_s: f64,
@@ -91,11 +91,11 @@ struct ImageSummary {
 }
 
 impl SimulateRun {
-    /// Simulates and writes; returns whether the images are those of the file that they are compared with, if there is one.
+    /// Simulates and writes. Returns whether the images equal the images of the file that they are compared with; true without one.
     pub(super) fn execute(&self, files: &SideFiles, reporter: &Reporter) -> anyhow::Result<bool> {
         let begun = Instant::now();
         let path = self.output.clone();
-        // Others may be about to write their parts.
+        // Other processes may be writing their parts to the work folder.
         let _lock = work_folder(&path).is_dir().then(|| OutputLock::hold(&path)).transpose()?;
         let (images, waves) = self.images(reporter)?;
         let noisy: Vec<SimulatedImage> = match self.job.electrons_per_pixel() {
@@ -153,7 +153,7 @@ impl SimulateRun {
         stored.flat_map(|s| images.iter().map(|i| ImageDifference::of(i, s))).collect()
     }
 
-    /// The images, and the exit waves of a plane wave.
+    /// Simulates the images, and for a plane wave also the exit waves.
     fn images(
         &self,
         reporter: &Reporter,
@@ -226,7 +226,7 @@ impl SimulateRun {
         Ok(pictures)
     }
 
-    /// What the page says about the images.
+    /// Returns names and values for the page.
     fn facts(&self) -> Vec<(String, String)> {
         let (request, specimen) = (self.job.request(), self.job.specimen());
         let [x, y, z] = specimen.size_angstrom;
@@ -270,7 +270,7 @@ impl SimulateRun {
     }
 }
 
-/// Electrons counted at each thickness.
+/// Returns the electrons counted at each thickness.
 fn electrons(counts: &Array3<u32>) -> Vec<u64> {
     counts.outer_iter().map(|c| c.iter().map(|n| u64::from(*n)).sum()).collect()
 }

@@ -1,4 +1,4 @@
-//! `stemgen slurm`: the jobs that build a world on a cluster.
+//! `stemgen slurm`.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -12,51 +12,54 @@ use super::invocation::PROGRAM;
 use super::text::{self, quoted};
 use stemgen::world::WorldPlan;
 
-/// Jobs get this many times the longest time that is expected, and this much more in s: a node may be slower than this machine, or busy.
+/// Time limit of a job: the longest expected time times `MARGIN`, plus `START_S` in s. A node may be slower than this machine, or busy.
 const MARGIN: f64 = 2.0;
 const START_S: f64 = 300.0;
-/// The same of memory.
+/// Memory limit of a job: the expected memory times `MEMORY_MARGIN`, plus `MEMORY_BYTES`.
 const MEMORY_MARGIN: f64 = 1.25;
 const MEMORY_BYTES: f64 = 1e9;
 
 const EXAMPLES: &str = "\
 Examples:
-  Sixteen shards of four processors each; look at the script, then submit it:
+  Sixteen shards on four processors each: write the script, then submit its jobs:
     stemgen slurm --shards 16 --cpus 4 build gan --difficulty hard -o gan.h5 > gan.sh
     bash gan.sh
-  On an account, in a partition:
+  Charge an account, and use a partition:
     stemgen slurm --shards 64 --account nano --partition short build srtio3 --difficulty hard
 
-The script submits an array of shards, a second one where sub-tiles need the library of all shards, and the
-build that writes the world. Memory and times are those of `stemgen build --dry-run` on this machine with a
-margin. The output and the cache ($STEMGEN_CACHE, else ~/.cache/stemgen) have to lie where all nodes see them.
-A job that was killed is submitted again with the same line: what is done is kept.";
+The script submits two or three jobs, each after the one before: an array for the library if images
+are missing, an array for the sub-tiles (parts of the field), and the build that writes the world.
+Memory and time are the estimates of `stemgen build --dry-run` on this machine, with a margin. The
+output and the cache ($STEMGEN_CACHE, else ~/.cache/stemgen) have to lie where all nodes see them.
+If a job is killed, run the script again: finished work is kept.";
 
 /// Print a script that builds a world on a cluster with Slurm
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Slurm {
-    /// Shards: tasks of the job array
+    /// Number of shards, the tasks of the job array: 1 to 1000
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    #[arg(help_heading = "Jobs")]
     shards: u16,
-    /// Processors of each task
+    /// Processors of each task: 1 to 1024
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(help_heading = "Jobs")]
     cpus: u16,
-    /// Account that is charged
-    #[arg(long, value_name = "NAME")]
+    /// Account that is charged [default: the default account of the cluster]
+    #[arg(long, value_name = "NAME", help_heading = "Jobs")]
     account: Option<String>,
-    /// Partition of the cluster
-    #[arg(long, value_name = "NAME")]
+    /// Partition of the cluster [default: the default partition of the cluster]
+    #[arg(long, value_name = "NAME", help_heading = "Jobs")]
     partition: Option<String>,
     /// Print the plan and the script as JSON
-    #[arg(long)]
+    #[arg(long, help_heading = "Running")]
     json: bool,
-    /// The build, as typed behind `stemgen`
+    /// The build command, without `stemgen`
     #[arg(value_name = "build ...", required = true, num_args = 1.., trailing_var_arg = true, allow_hyphen_values = true)]
     build: Vec<OsString>,
 }
 
-/// Reads what is typed behind `build`.
+/// Parses the words after `build`.
 #[derive(Debug, Parser)]
 #[command(name = "build")]
 struct BuildLine {
@@ -64,14 +67,14 @@ struct BuildLine {
     build: Build,
 }
 
-/// What the jobs get.
+/// The jobs, with their memory and time limits.
 #[derive(Serialize)]
 struct ClusterJobs {
     shards: u16,
     cpus: u16,
     memory_bytes: u64,
     time_s: f64,
-    /// Arrays before the last job.
+    /// Number of arrays before the last job.
     arrays: usize,
     output: PathBuf,
     script: String,
@@ -99,23 +102,28 @@ impl Slurm {
         text::print(jobs.script.trim_end())
     }
 
-    /// What was typed from `build` on, as texts.
+    /// Returns the words from `build` on as texts.
     fn words(&self) -> anyhow::Result<Vec<String>> {
         let as_text = |word: &OsString| {
             let text = word.to_str().map(str::to_owned);
-            text.ok_or_else(|| anyhow::anyhow!("{}: is no text in UTF-8", word.display()))
+            text.ok_or_else(|| {
+                anyhow::anyhow!(
+                    "{}: is no text in UTF-8, which a script needs; use another name",
+                    word.display()
+                )
+            })
         };
         let words: Vec<String> = self.build.iter().map(as_text).collect::<anyhow::Result<_>>()?;
-        // A script that is looked at and then run has to show what it does.
+        // A user reads the script before running it, so the script must show every letter that it holds.
         if let Some(word) = words.iter().find(|word| text::one_line(word) != **word) {
             anyhow::bail!(
-                "{}: holds a line end or another letter that does not show, which has no place in a script; name it otherwise",
+                "{}: holds a line end or another invisible letter, which has no place in a script; use another name",
                 text::one_line(word)
             );
         }
         if words[0] != "build" {
             anyhow::bail!(
-                "`{}` is no build: write the options of this command first, then `build` and its own, as in `{} slurm --shards 16 build srtio3 --difficulty hard`",
+                "`{}` is no build: give the options of `slurm` first, then `build` with its options, as in `{} slurm --shards 16 build srtio3 --difficulty hard`",
                 words[0],
                 PROGRAM
             );
@@ -124,12 +132,12 @@ impl Slurm {
         let audited = ["--accuracy", "--max-error"];
         if let Some(name) = audited.iter().find(|name| words.iter().any(|w| is(w, name))) {
             anyhow::bail!(
-                "{name} lets an audit choose the engine, which parts cannot do; name it instead: --engine window --window 7.8"
+                "{name}: an audit chooses the engine, which does not work in parts; name the engine instead: --engine window --window 7.8"
             );
         }
         if words.iter().any(|w| is(w, "--all")) {
             anyhow::bail!(
-                "--all: a script builds one world; print one script for each, `build srtio3 --difficulty easy` and so on"
+                "--all: a script builds one world; leave it out, and print one script for each world, such as `build srtio3 --difficulty easy`"
             );
         }
         let own = ["--shard", "--dry-run", "--threads", "--overwrite", "--hspy", "--json"];
@@ -205,7 +213,7 @@ impl Slurm {
     }
 }
 
-/// A text as it stands between double quotes in a shell.
+/// Escapes a text for a place between double quotes in a shell.
 fn escaped(text: &str) -> String {
     let mut out = String::new();
     for c in text.chars() {

@@ -23,34 +23,35 @@ const EXAMPLES: &str = "\
 Examples:
   The atoms of the central 2 x 2 tiles of the easy SrTiO3 world, with a picture:
     stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
-  The whole field, vacant sites included, in the order of the world's ground truth:
+  The whole field with vacant sites, in the order of the world's ground truth:
     stemgen specimen srtio3 --difficulty hard --vacancies -o atoms.extxyz
-  Another rate, as CIF, simulated right away:
+  A specimen with more vacancies as CIF, and its image:
     stemgen specimen srtio3 --difficulty easy --grid 1x1 --set vacancies.rate=0.2 -o dirty.cif
     stemgen simulate dirty.cif --png
 
 The columns of the file are species, position, occupancy, atom_type (0 pristine, 1 vacancy, 2
-substitution), defect_type, and column, the index of the atomic column in the world's ground truth. The
-field is cut out of a larger specimen, so its edges do not fit together: the cell is --vacuum wider.
-Carbon on its faces ([surface]) follows the sites, in column -1; z counts from the face that the beam enters.";
+substitution), defect_type, and column, the index of the atomic column in the world's ground truth.
+The field is cut out of a larger specimen, so opposite edges do not match; --vacuum separates them
+in the periodic cell. Atoms of carbon layers ([surface]) follow the sites, with column -1. z counts
+from the entrance face.";
 
-/// Write the atoms of a specimen, each with its defect
+/// Write the atoms of a specimen with their kinds of defects, as extended XYZ or CIF
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct SpecimenCommand {
     #[command(flatten)]
     recipe: RecipeArgs,
-    /// Write vacant sites too, as species X with occupancy 0 (in CIF with the missing element)
-    #[arg(long)]
+    /// Also write vacant sites, as species X with occupancy 0; in CIF, as the missing element with occupancy 0
+    #[arg(long, help_heading = "Results")]
     vacancies: bool,
-    /// Space without atoms between opposite edges of the cell, in A
+    /// Empty space between opposite edges of the field in the periodic cell, in A
     #[arg(long, value_name = "A", default_value_t = 2.0, value_parser = values::finite)]
-    #[arg(allow_negative_numbers = true)]
+    #[arg(allow_negative_numbers = true, help_heading = "Results")]
     vacuum: f64,
-    /// File to write, extended XYZ (.extxyz, .xyz) or CIF [default: MATERIAL_TIER[_RxC][_seedN].extxyz]
+    /// File to write: extended XYZ (.extxyz, .xyz) or CIF (.cif) [default: MATERIAL_TIER[_RxC][_seedN].extxyz]
     #[arg(short, long, value_name = "FILE", help_heading = "Results")]
     output: Option<PathBuf>,
-    /// Also draw the projected specimen, as PNG beside the file
+    /// Also write a picture (PNG) of the projected specimen, beside the file
     #[arg(long, help_heading = "Results")]
     png: bool,
     /// Replace existing files
@@ -165,7 +166,7 @@ impl SpecimenCommand {
     }
 }
 
-/// What would be written.
+/// Returns the plan.
 fn planned(specimen: &dyn Specimen, recipe: &Recipe, format: Format, output: PathBuf) -> Planned {
     let field = &recipe.field;
     let sites = estimated_rows(specimen, recipe);

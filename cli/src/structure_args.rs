@@ -1,4 +1,4 @@
-//! Options that prepare the specimen: what is given goes into a request, which has the defaults.
+//! Options of the specimen. Given options go into a request, which holds the defaults.
 
 use super::hints::hinted;
 use super::imaging_args::put_some;
@@ -9,59 +9,60 @@ use stemgen::Error;
 use stemgen::simulation::{SigmaChoice, SimulationRequest, SpecimenRequest};
 use stemgen::structure::FrameRange;
 
-/// The specimen.
+/// Holds the structure file and the options of the specimen.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Specimen")]
 pub struct StructureArgs {
-    /// Crystal or specimen: CIF, extended XYZ (.xyz, .extxyz) or POSCAR (.vasp, .poscar, POSCAR*); or a request (.toml) that
-    /// --write-request wrote: other options then change what it asks for
+    /// File of atoms: CIF, extended XYZ (.xyz, .extxyz) or POSCAR (.vasp, .poscar, POSCAR*). Or a request, the settings file
+    /// (.toml) of --write-request; given options replace its settings
     #[arg(value_name = "STRUCTURE", help_heading = None)]
     pub structure: PathBuf,
     #[command(flatten)]
     pub options: SpecimenArgs,
 }
 
-/// What is made of the structure.
+/// Holds the options that turn a structure into a specimen.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Specimen")]
 pub struct SpecimenArgs {
-    /// Lattice direction along the beam; builds an orthogonal box
+    /// Lattice direction along the beam; the program builds a right-angled box
     #[arg(long, value_name = "U,V,W", value_parser = values::direction, allow_hyphen_values = true)]
     pub zone: Option<[i32; 3]>,
-    /// Lattice direction along +y, perpendicular to the zone
+    /// Lattice direction along +y, perpendicular to --zone
     #[arg(long, value_name = "U,V,W", value_parser = values::direction, allow_hyphen_values = true)]
     pub up: Option<[i32; 3]>,
-    /// Make a box of a cell whose angles are nearly right: at most so much strain, in per cent. The strain is printed, and stored
-    /// in the file [default: with --zone or --up, angles within 1 mrad of right ones are made right]
+    /// Strain a cell with nearly right angles into a right-angled box, by at most this much, in per cent. The strain is printed,
+    /// and stored in the file [default: with --zone or --up, angles within 1 mrad of 90 degrees are made right]
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with = "frames")]
     pub max_strain: Option<f64>,
-    /// Repeat the cell (after --zone) along x, y and the beam
+    /// Repeat the cell along x, y and the beam, after --zone
     #[arg(long, value_name = "NX,NY,NZ", value_parser = values::counts3)]
     pub repeat: Option<[usize; 3]>,
-    /// Average over N frozen-phonon configurations; needs --sigma. Default: atoms exactly as given
+    /// Average over N frozen-phonon configurations: sets of thermal displacements. Needs --sigma [default: none; atoms stand
+    /// exactly as in the file]
     #[arg(long, value_name = "N", requires = "sigma")]
     pub phonons: Option<u32>,
-    /// Standard deviation of each Cartesian component of the thermal displacement in A: one
-    /// number, or one for each element (Sr=0.084,O=0.085), or from-file: the mean U or B of each element
-    /// in a CIF, or table: that of each element in a crystal of its own (see --temperature)
+    /// Standard deviation of the thermal displacement along each axis, in A: one number, or one for each element
+    /// (Sr=0.084,O=0.085). `from-file` takes the mean U or B of each element in a CIF. `table` takes the value of each element
+    /// in its elemental crystal, at --temperature
     #[arg(long, value_name = "A", value_parser = values::sigma_choice, requires = "phonons")]
     pub sigma: Option<SigmaChoice>,
-    /// Temperature for --sigma table, 200 to 400 [default: 293]
+    /// Temperature for --sigma table, 200 to 400 K [default: 293]
     #[arg(long, value_name = "K", value_parser = values::finite, requires = "sigma")]
     pub temperature: Option<f64>,
-    /// Frozen phonons from a trajectory, extended XYZ or XDATCAR: the mean over these frames, counted from 0, END
-    /// among them
+    /// Average over these frames of a trajectory (extended XYZ or XDATCAR), in place of --phonons. Frames count from 0, and END
+    /// is included
     #[arg(long, value_name = "START:END[:STEP]|all", value_parser = values::frames)]
     #[arg(conflicts_with_all = ["phonons", "zone", "up"])]
     pub frames: Option<FrameRange>,
-    /// Seed of the thermal displacements and of mixed sites [default: 1]
+    /// Seed of thermal displacements, of the atoms on partly occupied sites, and of the noise [default: 1]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
 }
 
 impl StructureArgs {
-    /// The request of a file (.toml), or the defaults for the atoms of a structure file; with what is given.
+    /// Returns the request of a file (.toml), or the defaults for a structure file, with the given options applied.
     pub fn request(&self) -> anyhow::Result<SimulationRequest> {
         let is_request = self.structure.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
         let mut request = match is_request {
@@ -74,7 +75,7 @@ impl StructureArgs {
 }
 
 impl SpecimenArgs {
-    /// Puts what is given into a request.
+    /// Puts the given options into a request.
     pub fn apply(&self, to: &mut SpecimenRequest) {
         put_some(&self.zone, &mut to.zone);
         put_some(&self.up, &mut to.up);
@@ -88,17 +89,17 @@ impl SpecimenArgs {
     }
 }
 
-/// Name of a file without its folder and its ending.
+/// Returns the name of a file without its folder and its ending.
 pub fn stem(file: &Path) -> PathBuf {
     PathBuf::from(file.file_stem().unwrap_or("structure".as_ref()))
 }
 
-/// Name of a file without its folder.
+/// Returns the name of a file without its folder.
 pub fn file_name(file: &Path) -> String {
     file.file_name().map(Path::new).unwrap_or(file).display().to_string()
 }
 
-/// The error, with the option that reads a trajectory where the file is one.
+/// Adds the option that reads a trajectory to an error about frames.
 pub fn with_frames(error: Error) -> anyhow::Error {
     match &error {
         Error::Parse { message, .. } if message.contains("frame") => {

@@ -7,7 +7,7 @@ use std::io::{ErrorKind, Write};
 use std::ops::RangeInclusive;
 pub use stemgen::progress::duration;
 
-/// Prints a line on standard output, without what would command a terminal. A reader that has closed the pipe (`| head`) is no fault.
+/// Prints a line on standard output, with control characters escaped. A reader that has closed the pipe (`| head`) is no error.
 pub fn print(text: &str) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     match writeln!(out, "{}", printable(text)).and_then(|()| out.flush()) {
@@ -16,14 +16,14 @@ pub fn print(text: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Prints a line on standard error, if anybody is there.
+/// Prints a line on standard error, with control characters escaped. A closed standard error is no error.
 pub fn complain(text: &str) {
-    // Nothing is left to tell the failure to.
+    // If standard error is closed, no stream is left for the message.
     let _ = writeln!(std::io::stderr().lock(), "{}", printable(text));
 }
 
-/// A text that shows on a terminal what it holds, and does nothing else to it: what files and names of files hold may command a
-/// terminal, or turn the order of what is shown. Such letters are written as in JSON, so that JSON stays what it was.
+/// Escapes letters that control a terminal, or change the order of the letters shown: texts and names of files may hold them. They are
+/// escaped as in JSON, so that printed JSON keeps its meaning. Ends of lines stay.
 pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.chars().any(|c| c != '\n' && commands(c)) {
         return Cow::Borrowed(text);
@@ -35,7 +35,7 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// The same in one line, for what stands in a line with other things: a text of a file cannot add lines of its own.
+/// Escapes control letters and ends of lines, so that a text from a file cannot add lines to a table.
 pub fn one_line(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -44,7 +44,7 @@ pub fn one_line(text: &str) -> String {
     out
 }
 
-/// Whether a letter is shown by doing something: controls, ends of lines, and those that turn or hide what follows.
+/// Whether a letter is a control, an end of a line, or turns or hides the letters that follow it.
 fn commands(c: char) -> bool {
     const TURN_OR_HIDE: [RangeInclusive<char>; 5] = [
         '\u{200b}'..='\u{200f}',
@@ -60,7 +60,7 @@ fn push_code(out: &mut String, c: char) {
     *out += &format!("\\u{:04x}", u32::from(c));
 }
 
-/// Rows of cells as a table: columns as wide as their widest cell.
+/// Returns rows of cells as a table, with columns as wide as their widest cell.
 pub fn table<const N: usize>(rows: &[[String; N]]) -> String {
     let width = |k: usize| rows.iter().map(|row| row[k].chars().count()).max().unwrap_or(0);
     let widths: Vec<usize> = (0..N).map(width).collect();
@@ -71,7 +71,7 @@ pub fn table<const N: usize>(rows: &[[String; N]]) -> String {
     rows.iter().map(line).collect::<Vec<_>>().join("\n")
 }
 
-/// `1.3 GB`.
+/// Returns a size such as `1.3 GB`.
 pub fn bytes(n: u64) -> String {
     let units = ["B", "kB", "MB", "GB", "TB"];
     let mut value = n as f64;
@@ -87,7 +87,7 @@ pub fn bytes(n: u64) -> String {
     }
 }
 
-/// `2 to 5 s`, `40 s to 2 min 10 s`: from the least to the most.
+/// Returns a range of times in s, from the least to the most: `2 to 5 s`, `40 s to 2 min 10 s`.
 pub fn duration_range([least, most]: [f64; 2]) -> String {
     match [least, most].map(duration) {
         [a, b] if a == b => format!("about {a}"),
@@ -95,7 +95,7 @@ pub fn duration_range([least, most]: [f64; 2]) -> String {
     }
 }
 
-/// At least `digits` significant digits, without an exponent for usual sizes.
+/// Returns a number with at least `digits` significant digits, without an exponent unless it is very small.
 pub fn significant(value: f64, digits: i32) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
@@ -107,7 +107,7 @@ pub fn significant(value: f64, digits: i32) -> String {
     format!("{value:.*}", (digits - 1 - magnitude).max(0) as usize)
 }
 
-/// Whole numbers with a space between thousands: `12 345`.
+/// Returns an integer with a space between thousands: `12 345`.
 pub fn count(n: u64) -> String {
     let digits = n.to_string();
     let mut out = String::new();
@@ -120,7 +120,7 @@ pub fn count(n: u64) -> String {
     out
 }
 
-/// The command line as typed, quoted for a shell where need be, without the number of threads: what a file holds does not depend on it.
+/// Returns the command line, quoted for a shell where needed, without the number of threads, on which the contents of files do not depend.
 pub fn command_line() -> String {
     let words = Invocation::now()
         .arguments
@@ -131,7 +131,7 @@ pub fn command_line() -> String {
     std::iter::once(PROGRAM.to_owned()).chain(words).collect::<Vec<_>>().join(" ")
 }
 
-/// Words of a command line without `--threads N`.
+/// Removes `--threads N` from the words of a command line.
 fn without_threads(words: Vec<String>) -> Vec<String> {
     let mut kept = Vec::with_capacity(words.len());
     let mut words = words.into_iter();
@@ -145,7 +145,7 @@ fn without_threads(words: Vec<String>) -> Vec<String> {
     kept
 }
 
-/// A word as a shell takes it for one.
+/// Quotes a word for a shell, if needed.
 pub fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=@:+%".contains(c);
     match !word.is_empty() && word.chars().all(plain) {
@@ -166,7 +166,7 @@ mod tests {
             let whole = printable(&text);
             proptest::prop_assert!(whole.chars().all(|c| c == '\n' || !commands(c)), "{whole:?}");
             proptest::prop_assert_eq!(whole.matches('\n').count(), text.matches('\n').count());
-            // JSON says the same.
+            // Escaping must not change the meaning of JSON.
             let json = serde_json::to_string_pretty(&text).unwrap();
             let back: String = serde_json::from_str(&printable(&json)).unwrap();
             proptest::prop_assert_eq!(back, text);

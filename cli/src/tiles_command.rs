@@ -22,51 +22,58 @@ use stemgen::world::{
 
 const EXAMPLES: &str = "\
 Examples:
-  200 tiles of a world at random places and doses:
+  200 tiles of a world at random places, with random doses:
     stemgen tiles worlds/srtio3_easy_2x2.h5 --random-dose 1e3,1e5 -n 200 -o train.npz
-  The same of a recipe, without building a world first:
+  200 tiles of a recipe; no world is built:
     stemgen tiles srtio3 --difficulty easy --grid 4x4 -n 200 --random-dose 1e3,1e5 -o train.npz
-  In Python:
+  Read the tiles in Python:
     import numpy as np
     train = np.load(\"train.npz\")
     train[\"images\"], train[\"heat_maps\"], train[\"class_masks\"]    # each (200, 128, 128)
     train[\"columns\"][\"x_px\"]                                     # of all columns of all tiles
 
-The file holds images (with noise, fractions of the beam), clean (without), heat_maps (Gaussians of
-height 1 about columns), class_masks (0 background, 1 pristine column, 2 with vacancies, 3 with
-substitutions, 4 with both) and phase_masks, all (N, H, W); dose, pixel_nm, angle_deg, centre_nm
-(x, y in the full field), index and source of each tile; recipes (TOML, by source); and columns, one
-record for each: sample, x_px, y_px, class, number (of the heaviest atom), occupancy, sites,
-vacancies, substitutions. stemworlds.export writes the same layout. The noise-free image is made again
-from the recipe, from the cache where a mosaic was built before; every part of the field is made once.
-A world without a recipe (`stemgen import`) gives tiles of its stored image, from 0 to 1, with the noise
-that it has; clean and dose are left out.";
+Arrays of the file, [tile, row, column] unless noted:
+  images        with noise, in fractions of the beam
+  clean         without noise
+  heat_maps     Gaussians of height 1 at columns
+  class_masks   0 background, 1 pristine column, 2 vacancies, 3 substitutions, 4 both
+  phase_masks   number of the phase
+  dose, pixel_nm, angle_deg, centre_nm (x, y in the full field), index, source   [tile]
+  recipes       TOML, by source
+  columns       one record for each column: sample, x_px, y_px, class, number (of the heaviest
+                atom), occupancy, sites, vacancies, substitutions
+stemworlds.export writes files of this layout.
 
-/// Write tiles at random places with labels, for training (NumPy .npz)
+The noise-free image is simulated from the recipe. Parts of it that the cache holds are reused.
+A world without a recipe (`stemgen import`) gives tiles of its stored image: values from 0 to 1,
+with the noise of the recording, and without clean and dose.";
+
+/// Write labelled tiles from random places of a world or recipe, for training (NumPy .npz)
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Tiles {
     #[command(flatten)]
     recipe: RecipeArgs,
     /// Number of tiles
-    #[arg(short = 'n', long, value_name = "N", default_value_t = 100)]
+    #[arg(short = 'n', long, value_name = "N", default_value_t = 100, help_heading = "Tiles")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     number: u32,
     /// Edge of a tile in pixels
-    #[arg(long, value_name = "PX", default_value_t = 128)]
+    #[arg(long, value_name = "PX", default_value_t = 128, help_heading = "Tiles")]
     size: usize,
-    /// Dose of each tile in electrons per square Angstrom, drawn between these, evenly in its logarithm
-    /// [default: that of the recipe]
-    #[arg(long, value_name = "LOW,HIGH", value_parser = values::point)]
+    /// Range of the dose in electrons per square Angstrom. Each tile gets a random dose, uniform in its logarithm [default: the
+    /// dose of the recipe]
+    #[arg(long, value_name = "LOW,HIGH", value_parser = values::point, help_heading = "Tiles")]
     random_dose: Option<[f64; 2]>,
-    /// Which detector of a world or recipe that has several [default: the first]
-    #[arg(long, value_name = "NAME")]
+    /// Detector, if the world or recipe has several [default: the first]
+    #[arg(long, value_name = "NAME", help_heading = "Tiles")]
     detector: Option<String>,
-    /// Standard deviation of a column in the heat maps, in pixels
+    /// Standard deviation of a column's Gaussian in the heat maps, in pixels
     #[arg(long, value_name = "PX", default_value_t = 2.0, value_parser = values::positive)]
+    #[arg(help_heading = "Tiles")]
     heat_sigma: f64,
     /// Seed of places, doses and noise
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, help_heading = "Tiles")]
     tile_seed: u64,
     #[command(flatten)]
     kept: CacheArgs,
@@ -93,12 +100,12 @@ struct TilesSummary {
     wall_time_s: f64,
 }
 
-/// What tiles would take.
+/// The plan of tiles.
 #[derive(Serialize)]
 struct TilesPlan {
     tiles: usize,
     size_px: usize,
-    /// `null` where they are cut from a stored image.
+    /// `null` if tiles are cut from a stored image.
     image: Option<ImagePlan>,
     output: PathBuf,
 }
@@ -139,12 +146,12 @@ impl Tiles {
         self.finish(&set, made_of, specimen.facts().phases.clone(), begun)
     }
 
-    /// Cuts tiles from the stored image of a world without a recipe, such as a recorded image: they have its noise.
+    /// Cuts tiles, with their noise, from the stored image of a world without a recipe, such as a recorded image.
     fn cut(&self, world: &WorldFile, begun: Instant, reporter: &Reporter) -> anyhow::Result<()> {
         let path = world.path();
         if self.random_dose.is_some() {
             bail!(
-                "{}: its noise is that of the recording, and no other can be drawn; leave out --random-dose",
+                "{}: its stored image has noise, and no other dose can be drawn; leave out --random-dose",
                 path.display()
             );
         }
@@ -162,7 +169,7 @@ impl Tiles {
         self.finish(&set, (None, None), world.phase_names()?, begun)
     }
 
-    /// Tells what the tiles would take; those of a stored image take no simulation.
+    /// Prints the plan of the tiles. Tiles of a stored image need no simulation.
     fn planned(&self, image: Option<ImagePlan>) -> anyhow::Result<()> {
         let plan = TilesPlan {
             tiles: self.number as usize,
@@ -191,7 +198,7 @@ impl Tiles {
         }
     }
 
-    /// Writes tiles, and tells of them. Without a dose there are no noise-free ones either.
+    /// Writes the tiles, and prints the summary. Tiles of a stored image have no dose and no noise-free images.
     fn finish(
         &self,
         set: &TrainingSet,

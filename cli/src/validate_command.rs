@@ -13,28 +13,29 @@ use stemgen::validate::report::{Report, ReportOrigin, suite_page};
 use stemgen::validate::suite::{Case, selected};
 use stemgen::validate::{Outcome, Verdict};
 
-/// Exit code where something was compared and found to differ.
+/// Exit code if a comparison found a difference.
 pub const DIFFERENT: u8 = 3;
 
 const EXAMPLES: &str = "\
 Examples:
-  The shipped suite, some minutes; writes validation.html:
+  Run the whole suite, in some minutes; writes validation.html:
     stemgen validate
-  A part of it; what there is:
+  Run a part of the suite, or list its cases:
     stemgen validate --quick
     stemgen validate --case refined-image --case kirkland-5-12 -o two.html
     stemgen validate --list
-  An image of atoms.xyz that you computed with abTEM, measurement.to_zarr(\"haadf.zarr\"):
+  Compare with an image of atoms.xyz from abTEM, saved by measurement.to_zarr(\"haadf.zarr\"):
     stemgen validate --reference haadf.zarr --structure atoms.xyz --detector HAADF=68-200
-  The same from np.save(\"haadf.npy\", measurement.array), which does not tell axes and pixels, with
-  abTEM's own numerics (its grid, slices and potentials):
+  Compare with np.save(\"haadf.npy\", measurement.array), which stores neither axes nor pixels, and
+  compute with abTEM's numerics (its grid, slices and potentials):
     stemgen validate --reference haadf.npy --axes xy --structure atoms.xyz \\
       --scan-start 0,0 --scan-end 3.905,3.905 --like-abtem \\
       --gpts 300,300 --slice-thickness 1.9525
 
-A reference file is asked for its scan first: the defaults of --scan-start and --scan-end do not
-hold here. An .npy or .npz tells nothing: give both, or --scan-start and --scan-step. abTEM 1.0.11
-writes 0,0 for the start whatever it was.
+The scan comes from the reference file, or from options: --scan-start and --scan-end have no
+defaults here. An .npy or .npz file states no scan: give --scan-start with --scan-end or
+--scan-step. abTEM 1.0.11 writes 0,0 as the start of every scan; if yours starts elsewhere, give
+--scan-start.
 
 Exit code: 0 if all numbers lie within their limits, 3 if not, 1 on errors.";
 
@@ -42,7 +43,7 @@ Exit code: 0 if all numbers lie within their limits, 3 if not, 1 on errors.";
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Validate {
-    /// Run this case of the suite (repeatable)
+    /// Run this case of the suite (repeatable) [default: all cases]
     #[arg(
         long = "case",
         value_name = "NAME",
@@ -50,15 +51,15 @@ pub struct Validate {
         conflicts_with = "reference"
     )]
     cases: Vec<String>,
-    /// Run the quick cases only
+    /// Run only the quick cases
     #[arg(long, help_heading = "Suite", conflicts_with_all = ["reference", "cases"])]
     quick: bool,
-    /// Show the cases of the suite and stop
+    /// Print the cases of the suite and the expected time, and stop
     #[arg(long, help_heading = "Suite")]
     list: bool,
     #[command(flatten)]
     reference: ReferenceArgs,
-    /// Report to write
+    /// Report to write (HTML)
     #[arg(short, long, value_name = "FILE.html", default_value = "validation.html")]
     #[arg(help_heading = "Results")]
     output: PathBuf,
@@ -80,7 +81,7 @@ struct Listed {
 }
 
 impl Validate {
-    /// Runs the subcommand; the exit code tells the verdict.
+    /// Runs the subcommand; the exit code is [`DIFFERENT`] if a number lies beyond its limit.
     pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         let cases = selected(&self.cases, self.quick)?;

@@ -24,39 +24,39 @@ use stemgen::validate::image_comparison::{ImageComparison, compare};
 use stemgen::validate::user::{self, Order, Reference, ValueUnits};
 use stemgen::validate::{NamedSetting, Outcome};
 
-/// abTEM's slice thickness unless another is asked for, in Angstrom.
+/// Default slice thickness of abTEM, in Angstrom.
 const ABTEM_SLICE_ANGSTROM: f64 = 1.0;
-const REMEDY: &str = "ours is converged in the grid, abTEM's images carry the error of theirs; --like-abtem with the --gpts and \
-                      --slice-thickness of the reference computes as abTEM does, and tells whether that explains it";
+const REMEDY: &str = "our image is converged in the grid, but abTEM's images contain the error of abTEM's grid; --like-abtem with the --gpts and \
+                      --slice-thickness of the reference computes with abTEM's numerics, and shows whether they explain the difference";
 
-/// Your own reference.
+/// Holds the options of a comparison with an image of another program.
 #[derive(Debug, Args)]
 pub struct ReferenceArgs {
-    /// Compare with this image instead: .npy, .npz, .tif, .h5 or a zarr folder
+    /// Compare with this image, in place of the suite: .npy, .npz, .tif, .h5 or a zarr folder
     #[arg(long, value_name = "FILE", requires = "structure", help_heading = "Your reference")]
     reference: Option<PathBuf>,
     /// Atoms that the reference shows: CIF, extended XYZ or POSCAR
     #[arg(long, value_name = "FILE", requires = "reference", help_heading = "Your reference")]
     structure: Option<PathBuf>,
-    /// Array of the file, where it holds several
+    /// Array to compare with, if the file holds several
     #[arg(long, value_name = "NAME", requires = "reference", help_heading = "Your reference")]
     dataset: Option<String>,
-    /// Which image of a stack, from 0; one number for each dimension that is not x or y
+    /// Image of a stack, from 0: one number for each dimension other than x and y
     #[arg(long, value_name = "I,J,...", value_delimiter = ',', requires = "reference")]
     #[arg(help_heading = "Your reference")]
     index: Vec<usize>,
-    /// Order of the dimensions, where the file does not say; abTEM's arrays are xy
+    /// Order of the dimensions, if the file does not state it. Arrays of abTEM are xy
     #[arg(long, value_name = "ORDER", requires = "reference", help_heading = "Your reference")]
     axes: Option<AxesName>,
-    /// What the values are
+    /// Units of the values
     #[arg(long, value_name = "NAME", default_value = "fraction", help_heading = "Your reference")]
     units: UnitsName,
-    /// Largest difference allowed, in per cent of the maximum of the reference
+    /// Largest difference allowed, in per cent of the maximum of the reference, up to 100
     #[arg(long, value_name = "PERCENT", default_value = "1", value_parser = values::percent)]
     #[arg(allow_negative_numbers = true, help_heading = "Your reference")]
     tolerance: f64,
-    /// Compute as abTEM does: potentials on the grid of the wave with its pixel correction, slices of
-    /// --slice-thickness [default: 1 A], its anti-aliasing and focus; needs --gpts or --sampling
+    /// Compute with abTEM's numerics: potentials on the grid of the wave with its pixel correction, slices of --slice-thickness
+    /// (1 A if it is not given), its anti-aliasing and focus. Needs --gpts or --sampling
     #[arg(long, requires = "reference", help_heading = "Your reference")]
     like_abtem: bool,
     #[command(flatten)]
@@ -83,18 +83,18 @@ enum UnitsName {
     Fraction,
     /// Per cent of the beam
     Percent,
-    /// Anything proportional: the factor is fitted
+    /// Any units proportional to fractions; the program fits the factor
     Fitted,
 }
 
-/// Everything that a comparison needs.
+/// A comparison that is ready to run.
 pub struct PreparedReference {
     name: String,
     structure: String,
     reference: Reference,
     specimen: PreparedSpecimen,
     plan: Plan,
-    /// See [`ImageComparison::converged`].
+    /// The plan of a converged image, as in [`ImageComparison::converged`].
     converged: Option<Plan>,
     scan: Scan,
     units: ValueUnits,
@@ -103,7 +103,7 @@ pub struct PreparedReference {
     remedy: Option<String>,
 }
 
-/// Options as if none had been given.
+/// Returns options of which none is given.
 fn defaults<T: Args>() -> anyhow::Result<T> {
     let command = T::augment_args(clap::Command::new("defaults").no_binary_name(true));
     let matches = command.try_get_matches_from(std::iter::empty::<String>())?;
@@ -116,7 +116,7 @@ impl ReferenceArgs {
         self.reference.is_some()
     }
 
-    /// The files that are read.
+    /// Returns the files that are read.
     pub fn files(&self) -> Vec<PathBuf> {
         [&self.reference, &self.structure].into_iter().flatten().cloned().collect()
     }
@@ -148,10 +148,7 @@ impl ReferenceArgs {
         let mut settings = imaging_args::settings(&microscope, &numerics, phonons)?;
         if settings.detectors.len() > 1 {
             let fault = anyhow!("{} detectors for one reference", settings.detectors.len());
-            return Err(hinted(
-                fault,
-                "give the one --detector that the reference was computed with",
-            ));
+            return Err(hinted(fault, "give only the --detector of the reference"));
         }
         agree(&array, &settings)?;
         let converged = self.like_abtem.then(|| converged_settings(&settings));
@@ -197,7 +194,7 @@ impl ReferenceArgs {
         }))
     }
 
-    /// Options of an image make no sense for the suite.
+    /// Refuses options of a simulation without a reference: each case of the suite has fixed settings.
     fn refuse_options(&self) -> anyhow::Result<()> {
         let given = [
             (self.specimen.is_some(), "options of the specimen"),
@@ -208,8 +205,7 @@ impl ReferenceArgs {
         match given.iter().find(|(given, _)| *given) {
             None => Ok(()),
             Some((_, which)) => {
-                let hint =
-                    "they belong to --reference FILE --structure FILE; the suite has its own";
+                let hint = "the suite has fixed settings; leave the options out, or give --reference FILE --structure FILE";
                 Err(hinted(anyhow!("{which} without a reference"), hint))
             }
         }
@@ -235,7 +231,7 @@ fn agree(array: &ForeignArray, settings: &Settings) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Our own grid and slices in place of those given.
+/// Replaces the given grid and slices by the program's default ones.
 fn converged_settings(settings: &Settings) -> Settings {
     Settings { grid: GridChoice::Auto, slicing: Slicing::Planes, ..settings.clone() }
 }
@@ -249,21 +245,18 @@ fn abtem_settings(
         (Some(points), _) => points,
         (None, Some(sampling)) => [0, 1].map(|i| (size[i] / sampling - 1e-9).ceil() as usize),
         (None, None) => {
-            let fault = anyhow!("--like-abtem needs abTEM's grid");
-            return Err(hinted(
-                fault,
-                "give the --gpts or the --sampling of the abTEM calculation",
-            ));
+            let fault = anyhow!("--like-abtem needs the grid of the abTEM calculation");
+            return Err(hinted(fault, "give its --gpts or its --sampling"));
         }
     };
     let thickness = numerics.slice_thickness_angstrom.unwrap_or(ABTEM_SLICE_ANGSTROM);
-    // Slices of equal thickness; the focus moves by half of one.
+    // abTEM divides the cell into slices of equal thickness, and its focus moves by half a slice.
     let slice = size[2] / (size[2] / thickness - 1e-9).ceil().max(1.0);
     Ok(like_abtem(settings, GridChoice::Points(points), slice))
 }
 
 impl PreparedReference {
-    /// What would be done.
+    /// Returns the plan, also as text.
     pub fn planned(&self) -> (PlanReport, String) {
         let report = self.report();
         let mut lines = Lines::default();
@@ -279,7 +272,7 @@ impl PreparedReference {
         PlanReport::new(&self.plan, &Cost::new(&self.plan, &self.scan), 1)
     }
 
-    /// What ours is computed with.
+    /// Returns the settings of our image, for the report.
     fn settings(&self) -> Vec<NamedSetting> {
         let settings = &self.plan.settings;
         let [x, y, z] = self.specimen.size_angstrom;

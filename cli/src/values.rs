@@ -1,4 +1,4 @@
-//! Parsers of option values. Their messages follow clap's `invalid value '...' for '...': `.
+//! Parsers of option values. Each message continues clap's `invalid value '...' for '...': `.
 
 use super::foreign_options::foreign_options;
 use clap::ValueEnum;
@@ -23,26 +23,26 @@ fn numbers<T: FromStr, const N: usize>(text: &str, separator: char, form: &str) 
     parts.try_into().map_err(|_| format!("write {form}"))
 }
 
-/// A finite number.
+/// Reads a finite number.
 pub fn finite(text: &str) -> Parsed<f64> {
     let value = text.trim().parse().ok().filter(|v: &f64| v.is_finite());
     value.ok_or_else(|| "write a number, such as 12.5".into())
 }
 
-/// A number above 0.
+/// Reads a number above 0.
 pub fn positive(text: &str) -> Parsed<f64> {
     let value = finite(text)?;
     if value > 0.0 { Ok(value) } else { Err("write a number above 0".into()) }
 }
 
-/// A number, or several: `START:END:STEP`, both ends among them.
+/// A number, or a series `START:END:STEP` with both ends.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NumberSeries(pub Vec<f64>);
 
 /// Most values of a series.
 const LONGEST_SERIES: f64 = 1000.0;
 
-/// `0/16`, or `slurm` for that of a task of a job array.
+/// Reads `0/16`, or `slurm` for the number of this task in a job array.
 pub fn shard(text: &str) -> Parsed<Shard> {
     let shard = match text.trim() {
         "slurm" => Shard::of_slurm(|name| std::env::var(name).ok()),
@@ -51,7 +51,7 @@ pub fn shard(text: &str) -> Parsed<Shard> {
     shard.map_err(|e| e.to_string())
 }
 
-/// `30` or `0:100:20`.
+/// Reads `30` or `0:100:20`.
 pub fn series(text: &str) -> Parsed<NumberSeries> {
     if !text.contains(':') {
         return Ok(NumberSeries(vec![finite(text)?]));
@@ -70,13 +70,13 @@ pub fn series(text: &str) -> Parsed<NumberSeries> {
 /// Bits of a grey value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Bits {
-    /// Whole numbers from 0 to 255
+    /// Integers from 0 to 255
     #[value(name = "8")]
     Eight,
-    /// Whole numbers from 0 to 65535
+    /// Integers from 0 to 65535
     #[value(name = "16")]
     Sixteen,
-    /// The values themselves
+    /// Floating-point numbers, the values unchanged
     #[value(name = "32")]
     ThirtyTwo,
 }
@@ -91,14 +91,14 @@ impl From<Bits> for TiffDepth {
     }
 }
 
-/// A number with or without a per cent sign.
+/// Reads a number with or without a per cent sign.
 pub fn percent(text: &str) -> Parsed<f64> {
     let text = text.trim();
     finite(text.strip_suffix('%').unwrap_or(text))
         .map_err(|_: String| "write per cent, such as 1 or 0.5%".into())
 }
 
-/// `auto`, `scan` or a length in Angstrom.
+/// Reads `auto`, `scan` or a length in Angstrom.
 pub fn probe_step(text: &str) -> Parsed<ProbeStep> {
     match text.trim() {
         "auto" => Ok(ProbeStep::Auto),
@@ -110,7 +110,7 @@ pub fn probe_step(text: &str) -> Parsed<ProbeStep> {
     }
 }
 
-/// `auto`, `off` or per cent of an amplitude.
+/// Reads `auto`, `off` or per cent of an amplitude.
 pub fn expansion(text: &str) -> Parsed<Expansion> {
     match text.trim() {
         "auto" => Ok(Expansion::Auto),
@@ -122,14 +122,14 @@ pub fn expansion(text: &str) -> Parsed<Expansion> {
     }
 }
 
-/// `X,Y`.
+/// Reads `X,Y`.
 pub fn point(text: &str) -> Parsed<[f64; 2]> {
     let point = numbers(text, ',', "two numbers, such as 0,3.9")?;
     let finite = point.iter().all(|v: &f64| v.is_finite());
     finite.then_some(point).ok_or_else(|| "both numbers must be finite".into())
 }
 
-/// `X0,Y0,X1,Y1`.
+/// Reads `X0,Y0,X1,Y1`.
 pub fn rectangle(text: &str) -> Parsed<[f64; 4]> {
     let corners: [f64; 4] = numbers(text, ',', "four numbers X0,Y0,X1,Y1, such as 10,10,20,20")?;
     match corners {
@@ -140,7 +140,7 @@ pub fn rectangle(text: &str) -> Parsed<[f64; 4]> {
     }
 }
 
-/// `LOW,HIGH` in percent.
+/// Reads `LOW,HIGH` in per cent.
 pub fn percentiles(text: &str) -> Parsed<[f64; 2]> {
     let form = "two percentages, such as 0.1,99.9";
     match numbers(text, ',', form)? {
@@ -149,17 +149,17 @@ pub fn percentiles(text: &str) -> Parsed<[f64; 2]> {
     }
 }
 
-/// `NX,NY`.
+/// Reads `NX,NY`.
 pub fn counts2(text: &str) -> Parsed<[usize; 2]> {
     numbers(text, ',', "two whole numbers, such as 512,512")
 }
 
-/// `NX,NY,NZ`.
+/// Reads `NX,NY,NZ`.
 pub fn counts3(text: &str) -> Parsed<[usize; 3]> {
     numbers(text, ',', "three whole numbers, such as 3,3,10")
 }
 
-/// `u,v,w`; or the four indices of a hexagonal lattice, `u,v,t,w`.
+/// Reads `u,v,w`, or the four indices of a hexagonal lattice, `u,v,t,w`.
 pub fn direction(text: &str) -> Parsed<[i32; 3]> {
     let form = "three whole numbers, such as 1,1,0 (or the four of a hexagonal lattice, 2,-1,-1,0)";
     if text.matches(',').count() == 3 {
@@ -168,7 +168,7 @@ pub fn direction(text: &str) -> Parsed<[i32; 3]> {
     numbers(text, ',', form)
 }
 
-/// `F` or `FX,FY`.
+/// Reads `F` or `FX,FY`.
 pub fn factors(text: &str) -> Parsed<[usize; 2]> {
     let form = "one or two whole numbers from 1 up, such as 4 or 4,2";
     let both = if text.contains(',') { text.to_owned() } else { format!("{text},{text}") };
@@ -176,17 +176,17 @@ pub fn factors(text: &str) -> Parsed<[usize; 2]> {
     (!factors.contains(&0)).then_some(factors).ok_or_else(|| format!("write {form}"))
 }
 
-/// `RxC`.
+/// Reads `RxC`.
 pub fn rows_columns(text: &str) -> Parsed<[usize; 2]> {
     numbers(&text.to_ascii_lowercase(), 'x', "rows x columns, such as 2x2")
 }
 
-/// `C12=30@0.3`.
+/// Reads `C12=30@0.3`.
 pub fn aberration(text: &str) -> Parsed<Aberration> {
     Aberration::parse(text).map_err(|e| e.to_string())
 }
 
-/// `HAADF=68-200`.
+/// Reads `HAADF=68-200`.
 pub fn detector(text: &str) -> Parsed<Detector> {
     if let Some(message) = foreign_options(text) {
         return Err(message.into());
@@ -195,19 +195,19 @@ pub fn detector(text: &str) -> Parsed<Detector> {
     plausible(simulation::check_detector(&detector), detector)
 }
 
-/// A semiangle in mrad.
+/// Reads a semiangle in mrad.
 pub fn semiangle(text: &str) -> Parsed<f64> {
     let value = finite(text)?;
     plausible(simulation::check_semiangle(value), value)
 }
 
-/// An energy in keV.
+/// Reads an energy in keV.
 pub fn energy(text: &str) -> Parsed<f64> {
     let value = finite(text)?;
     plausible(simulation::check_energy(value), value)
 }
 
-/// The value, unless it is hardly meant; clap names the value itself.
+/// Refuses an implausible value, such as an energy in eV. The message leaves the value out, since clap prints it.
 fn plausible<T>(checked: stemgen::Result<()>, value: T) -> Parsed<T> {
     match checked {
         Ok(()) => Ok(value),
@@ -216,7 +216,7 @@ fn plausible<T>(checked: stemgen::Result<()>, value: T) -> Parsed<T> {
     }
 }
 
-/// Standard deviations of thermal displacements: `from-file`, `table`, `0.08` or `Sr=0.084,O=0.085`.
+/// Reads standard deviations of thermal displacements: `from-file`, `table`, `0.08` or `Sr=0.084,O=0.085`.
 pub fn sigma_choice(text: &str) -> Parsed<SigmaChoice> {
     match text.trim() {
         "from-file" => Ok(SigmaChoice::FromFile(FromFile::FromFile)),
@@ -225,7 +225,7 @@ pub fn sigma_choice(text: &str) -> Parsed<SigmaChoice> {
     }
 }
 
-/// `all`, `START:END` or `START:END:STEP`, both ends among them.
+/// Reads `all`, `START:END` or `START:END:STEP`, both ends included.
 pub fn frames(text: &str) -> Parsed<FrameRange> {
     let form = "all, START:END or START:END:STEP, such as 10:200:5; frames count from 0";
     if text.trim() == "all" {
@@ -237,7 +237,7 @@ pub fn frames(text: &str) -> Parsed<FrameRange> {
     (start <= end && step > 0).then_some(range).ok_or_else(|| format!("write {form}"))
 }
 
-/// Standard deviations of thermal displacements in Angstrom: `0.08` or `Sr=0.084,O=0.085`.
+/// Reads standard deviations of thermal displacements in Angstrom: `0.08` or `Sr=0.084,O=0.085`.
 fn sigmas(text: &str) -> Parsed<SigmaChoice> {
     let sigma = |text: &str| {
         let value = finite(text).ok().filter(|v| (0.0..=LARGEST_SIGMA_ANGSTROM).contains(v));
@@ -263,18 +263,18 @@ fn sigmas(text: &str) -> Parsed<SigmaChoice> {
 /// Engines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum EngineName {
-    /// Every probe on the full grid: exact
+    /// Propagates every probe on the full grid: exact
     Multislice,
-    /// Probes put together from plane waves; exact with --interpolation 1
+    /// Propagates plane waves and puts probes together from them; exact with --interpolation 1
     Prism,
-    /// Every probe in a small window that follows it
+    /// Propagates every probe in a window, a small box that follows it
     Window,
-    /// Worlds only: columns with like contents and surroundings share simulations in windows; atoms of carbon films
-    /// make their images each by itself
+    /// For worlds only: columns with the same atoms and the same neighbours use one simulation (in windows). Carbon films are
+    /// computed atom by atom, without interference
     Mosaic,
 }
 
-/// Where the probe has norm 1.
+/// Box in which the probe has norm 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ProbeBoxName {
     /// In the simulated cell
@@ -295,9 +295,9 @@ impl From<ProbeBoxName> for stemgen::engine::ProbeBox {
 /// How an atom is distributed over slices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ProjectionName {
-    /// The whole atom into the slice of its nucleus
+    /// Each atom is projected into the slice of its nucleus
     Infinite,
-    /// Each slice gets its part of the atom
+    /// Each atom is divided among the slices that it extends over
     Finite,
 }
 
@@ -313,11 +313,11 @@ impl From<ProjectionName> for Projection {
 /// Tables of scattering factors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ParametrizationName {
-    /// Lobato & Van Dyck 2014
+    /// I. Lobato and D. Van Dyck, 2014
     Lobato,
-    /// Kirkland 2010
+    /// E. J. Kirkland, 2010
     Kirkland,
-    /// Peng et al. 1996
+    /// L.-M. Peng et al., 1996
     Peng,
 }
 
@@ -334,11 +334,11 @@ impl From<ParametrizationName> for Parametrization {
 /// Tiers of a recipe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Tier {
-    /// Many defects, much dose
+    /// Many defects, high dose
     Easy,
-    /// Between
+    /// Between easy and hard
     Medium,
-    /// Few defects, little dose
+    /// Few defects, low dose
     Hard,
 }
 

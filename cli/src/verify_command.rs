@@ -10,18 +10,19 @@ use stemgen::validate::soundness::{CheckOutcome, WorldCheck, check_world};
 
 const EXAMPLES: &str = "\
 Examples:
-  A world that was copied, or that another program wrote:
+  Check a world that was copied, or written by another program:
     stemgen verify worlds/srtio3_easy_2x2.h5
-  All worlds of a folder, for a script:
+  In a script: check all worlds of a folder:
     for world in worlds/*.h5; do stemgen verify \"$world\" --quiet || echo \"$world\"; done
 
-Tiles are held against each other and the overview, the lists of the ground truth against each other
-and the field, and the counted electrons against the dose, and against the noise-free image where the
-file has one (build --keep-clean). Whether the image is right, `stemgen audit` tells.
+The command compares tiles with their neighbours and with the overview, the lists of the ground
+truth with each other and with the field, and the counted electrons with the dose and with the
+noise-free image, if the file has one (build --keep-clean). It does not measure the accuracy of the
+image: `stemgen audit` does.
 
 Exit code: 0 if the world is sound, 3 if not, 1 on errors.";
 
-/// Check that a world file is whole and agrees with itself
+/// Check that a world file is complete and consistent
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Verify {
@@ -32,7 +33,7 @@ pub struct Verify {
     common: Common,
 }
 
-/// As `--json` prints it.
+/// The summary that `--json` prints.
 #[derive(Serialize)]
 struct VerifySummary<'a> {
     world: &'a PathBuf,
@@ -41,7 +42,7 @@ struct VerifySummary<'a> {
 }
 
 impl Verify {
-    /// Runs the subcommand; the exit code tells whether the world is sound.
+    /// Runs the subcommand; the exit code is [`DIFFERENT`] if the world is not sound.
     pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         hdf5_check::check(&self.world)?;

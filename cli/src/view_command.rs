@@ -20,63 +20,66 @@ use stemgen::world::draw_specimen;
 
 const EXAMPLES: &str = "\
 Examples:
-  The whole field:
+  The whole field of a world:
     stemgen view worlds/srtio3_easy_1x1.h5
   A part of it, 2 nm wide, with every defect:
     stemgen view worlds/srtio3_easy_1x1.h5 --region 0.2,0.2,2.2,2.2 --overlay defects
-  Phases and their boundaries over the noiseless image:
+  Phases and their boundaries over the noise-free image:
     stemgen view worlds/batio3_hard_4x4.h5 --clean --overlay phases --colormap inferno -o b.png
-  Another detector of a world that has several:
+  The image of another detector:
     stemgen view worlds/srtio3_easy_1x1.h5 --detector ABF
-  The specimen of a recipe, before anything is simulated:
+  The specimen of a recipe, without a simulation:
     stemgen view srtio3 --difficulty easy --grid 2x2
-  A recording, or an image that `simulate` made:
+  A recording, or an image of `stemgen simulate`:
     stemgen view tile.h5
-  A page for the browser that zooms to single atoms and shows what the truth says of each:
+  A page for the browser that zooms to single atoms and shows the ground truth of each:
     stemgen view worlds/srtio3_easy_1x1.h5 --html
-  The same for diffraction patterns: move over the scan, draw detectors:
+  A page of diffraction patterns: move over the scan, draw detectors:
     stemgen view srtio3.emd --html
 
-The page is one file that needs no network: overlays, values and columns under the pointer, line profiles. Without
---overlay it shows what the truth marks (defects, boundaries, particles; else all columns).
+The page of a world is one file that needs no network. It shows overlays, the values and the column
+under the pointer, and line profiles. Without --overlay it begins with defects, boundaries and
+particles; if the world has none, with all columns.
+
 x grows to the right and y down, from the centre of pixel (0, 0), as in the world's ground truth.";
 
-/// Draw a world, an image, a recording or a mean diffraction pattern as PNG, or make a page for the browser
+/// Draw a world, image, recording or mean diffraction pattern as PNG, or write a page for the browser
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct View {
-    /// World file; a file of `simulate`, `acquire`, `live` or `patterns`; or a recipe, by its name or its file (.toml), of which
-    /// the specimen is drawn
+    /// World file, or file of `simulate`, `acquire`, `live` or `patterns`; or a recipe, by its name or its file (.toml), whose
+    /// specimen is drawn
     #[arg(value_name = "FILE|RECIPE")]
     world: PathBuf,
-    /// The tier of a recipe that has some
-    #[arg(long, value_name = "TIER")]
+    /// Tier of the recipe. Needed if the recipe has tiers
+    #[arg(long, value_name = "TIER", help_heading = "Recipe")]
     difficulty: Option<Tier>,
-    /// Only the central tiles of a recipe, rows x columns [default: the whole field]
-    #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
+    /// Draw only the central tiles of the recipe's field, rows x columns [default: the whole field]
+    #[arg(long, value_name = "RxC", value_parser = values::rows_columns, help_heading = "Recipe")]
     grid: Option<[usize; 2]>,
-    /// Which detector of a world that has several, or which image of a file of `simulate` [default: the first]
-    #[arg(long, value_name = "NAME")]
+    /// Detector of a world that has several, or image of a file of `simulate` [default: the first]
+    #[arg(long, value_name = "NAME", help_heading = "Picture")]
     detector: Option<String>,
-    /// Which image of a stack of thicknesses, frames or recordings, from 0 on [default: the last]
-    #[arg(long, value_name = "NUMBER")]
+    /// Image of a stack of thicknesses, frames or recordings, from 0 [default: the last]
+    #[arg(long, value_name = "NUMBER", help_heading = "Picture")]
     index: Option<usize>,
-    /// Write a page (HTML) that works offline; the options below then say what it shows first
-    #[arg(long)]
+    /// Write a page (HTML) that needs no network, in place of a PNG. For a world, --region, --clean, --colormap, --contrast and
+    /// --overlay set its first view
+    #[arg(long, help_heading = "Picture")]
     html: bool,
-    /// Only this part, in nm: left, upper, right and lower edge
+    /// Draw only this part: left, upper, right and lower edge in nm [default: the whole field]
     #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = values::rectangle)]
-    #[arg(allow_hyphen_values = true)]
+    #[arg(allow_hyphen_values = true, help_heading = "Picture")]
     region: Option<[f64; 4]>,
     #[command(flatten)]
     picture: PictureArgs,
-    /// File to write [default: WORLD with the ending .view.png, or .html]
+    /// File to write [default: name of FILE or RECIPE with the ending .view.png or .html]
     #[arg(short, long, value_name = "FILE", help_heading = "Results")]
     output: Option<PathBuf>,
     /// Replace an existing file
     #[arg(long, help_heading = "Results")]
     overwrite: bool,
-    /// Print nothing but errors
+    /// Print only errors
     #[arg(short, long, help_heading = "Running")]
     quiet: bool,
 }
@@ -114,7 +117,7 @@ impl View {
         self.tell(&format!("{}: {w:.2} x {h:.2} nm", path.display()))
     }
 
-    /// The recipe that stands in place of a world.
+    /// Returns the recipe that is named in place of a file.
     fn recipe(&self) -> anyhow::Result<Option<CheckedRecipe>> {
         let name = self.world.to_string_lossy();
         let tier = self.difficulty.map(Difficulty::from);
@@ -133,7 +136,7 @@ impl View {
         Ok(Some(recipe.checked()?))
     }
 
-    /// Draws the specimen of a recipe, with all that is known of it.
+    /// Draws the specimen of a recipe with its ground truth.
     fn draw_recipe(&self, recipe: &CheckedRecipe) -> anyhow::Result<()> {
         if self.html
             || self.region.is_some()
@@ -142,7 +145,7 @@ impl View {
             || self.index.is_some()
         {
             bail!(
-                "{}: of a recipe the specimen is drawn as a whole; build the world for --html, --region, --clean and --detector",
+                "{}: is a recipe, whose whole specimen is drawn; leave out --html, --region, --clean, --detector and --index, or build the world for --html, --region, --clean and --detector",
                 self.world.display()
             );
         }
@@ -169,7 +172,7 @@ impl View {
         self.tell(&format!("{}: {what}", path.display()))
     }
 
-    /// Draws the mean of diffraction patterns, or makes a page of all.
+    /// Draws the mean of diffraction patterns, or writes a page of all patterns.
     fn draw_patterns(&self, patterns: &PatternFile) -> anyhow::Result<()> {
         let picture = &self.picture;
         if self.region.is_some()
@@ -179,7 +182,7 @@ impl View {
             || !picture.overlay.is_empty()
         {
             bail!(
-                "{}: holds diffraction patterns; leave out --region, --detector, --index, --clean and --overlay (`stemgen integrate` makes images of detectors)",
+                "{}: holds diffraction patterns; leave out --region, --detector, --index, --clean and --overlay (`stemgen integrate` computes images of detectors)",
                 self.world.display()
             );
         }

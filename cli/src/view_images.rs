@@ -6,18 +6,18 @@ use anyhow::anyhow;
 use stemgen::io::{ImageKind, StoredImages};
 use stemgen::render::{Contrast, Picture, RgbImage, WorldPicture, image_pictures};
 
-/// Which image of a file is drawn.
+/// The image of a file that is drawn.
 pub struct ViewedImage<'a> {
-    /// Name of the image; `None`: the first, or the ideal image of a recording if the picture is to be clean.
+    /// Name of the image; `None`: the first image, or the ideal image of a recording with `--clean`.
     pub name: Option<&'a str>,
-    /// Its number in a stack; `None`: the last.
+    /// Number of the image in a stack; `None`: the last.
     pub index: Option<usize>,
 }
 
-/// The picture of an image, and what it shows in words.
+/// Draws an image; also returns a description of the picture.
 ///
 /// # Errors
-/// Those of the file; a clean image of a file that holds no recording.
+/// Errors of the file; a clean image of a file that holds no recording.
 pub fn picture(
     images: &StoredImages,
     choice: &ViewedImage<'_>,
@@ -26,9 +26,16 @@ pub fn picture(
     let name = match (view.clean, choice.name, images.kind) {
         (true, None, ImageKind::Recording) => "ideal",
         (true, ..) => {
-            let fault =
-                anyhow!("--clean: is for worlds and recordings, and names no image beside it");
-            return Err(hinted(fault, format!("--detector takes {}", images.names.join(", "))));
+            let fault = anyhow!(
+                "--clean: is for worlds and recordings, and excludes --detector for a recording"
+            );
+            return Err(hinted(
+                fault,
+                format!(
+                    "leave out --clean; the images of --detector are {}",
+                    images.names.join(", ")
+                ),
+            ));
         }
         (false, Some(name), _) => name,
         (false, None, _) => &images.names[0],

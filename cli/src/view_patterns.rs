@@ -7,7 +7,7 @@ use stemgen::progress::Progress;
 use stemgen::render::html::{CubePage, Page};
 use stemgen::render::{Contrast, Picture, RgbImage, WorldPicture};
 
-/// The page of a file of patterns.
+/// Makes the page of a file of patterns.
 ///
 /// # Errors
 /// A file of rings; damaged patterns; Ctrl-C.
@@ -20,7 +20,7 @@ pub fn page(file: &PatternFile, title: String, progress: &dyn Progress) -> anyho
     Ok(page.page(&|rows| file.rows(rows), progress)?)
 }
 
-/// The picture of the mean pattern, and what it shows in words. Colours follow the fourth root of intensities.
+/// Draws the mean pattern; also returns a description of the picture. Colours show the fourth root of the intensities.
 ///
 /// # Errors
 /// A file of rings; damaged patterns; Ctrl-C.

@@ -14,25 +14,25 @@ use stemgen::recipe::CheckedRecipe;
 
 use super::text;
 
-/// What stands behind the name of an image without noise.
+/// Ending of the name of a noise-free image.
 const CLEAN: &str = "_clean";
 
-/// Bytes that an image takes for each of its pixels: as read, and as fractions of the beam.
+/// Bytes of memory for each pixel of an image: the value as read, and as a fraction of the beam.
 const BYTES: u64 = 8;
 
-/// What a file holds beside the pixels, for each image, at most.
+/// Most bytes of a file beside the pixels, for each image.
 const AROUND: u64 = 1 << 16;
 
-/// Bytes that the file takes at most, of so many images of a shape in pixels.
+/// Returns the most bytes of a file with so many images of a shape [rows, columns].
 pub fn most_bytes([rows, columns]: [usize; 2], images: usize) -> u64 {
     images as u64 * ((rows * columns * size_of::<f32>()) as u64 + AROUND)
 }
 
-/// Writes the images of a world as signals to `path`, which becomes `place`, in fractions of the beam: one for each detector of its
-/// recipe, with `_clean` behind its name for the image without noise, where the world has that.
+/// Writes the images of a world as signals, in fractions of the beam, to `path`, which is moved to `place` later. There is one signal for
+/// each detector of the recipe, and one named `DETECTOR_clean` for each noise-free image of the world.
 ///
 /// # Errors
-/// [`stemgen::Error::Memory`] for a world too large to be held at once; those of reading and writing.
+/// [`stemgen::Error::Memory`] for a world that does not fit into memory; errors of reading and writing.
 pub fn write_world(
     (path, place): (&Path, &Path),
     world: &WorldFile,

@@ -1,11 +1,11 @@
-//! What `stemgen build` would do and take, in words.
+//! The plan of `stemgen build` as text.
 
 use super::plan_text::{self, Lines};
 use super::text;
 use stemgen::imaging::MosaicCost;
 use stemgen::world::WorldPlan;
 
-/// Name and value, line by line.
+/// Returns names and values, line by line.
 pub fn text_of(plan: &WorldPlan) -> String {
     let mut lines = Lines::default();
     lines.add("material", format!("{} {}", plan.material, plan.zone_axis));
@@ -29,7 +29,7 @@ pub fn text_of(plan: &WorldPlan) -> String {
             lines.add("new", format!("{images} images: {}", new.why));
         }
     } else if plan.particle_probes.is_some() {
-        lines.add("film", "each atom by itself");
+        lines.add("film", "atom by atom, without interference");
     }
     plan_text::costs(&plan.plan, &mut lines);
     if plan.audit_range_s[1] > 0.0 {
@@ -43,12 +43,12 @@ pub fn text_of(plan: &WorldPlan) -> String {
 
 fn mosaic_line(mosaic: &MosaicCost, used: bool) -> String {
     if !used {
-        return "does not pay for so small a field: every sub-tile is simulated".into();
+        return "saves no time in so small a field: every sub-tile is simulated".into();
     }
     let count = |n: usize| text::count(n as u64);
     let unique = match mosaic.unique_columns {
         0 => String::new(),
-        n => format!("; {} columns are like no other", text::count(n)),
+        n => format!("; {} columns share no simulation", text::count(n)),
     };
     format!(
         "library of {} images, {} of them to simulate ({} probes){unique}",

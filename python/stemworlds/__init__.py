@@ -1,6 +1,6 @@
-"""STEM images of atoms, and worlds: large images of specimens with defects, with the truth about each atom.
+"""Simulates STEM images of atoms, and worlds: large images of specimens with defects, with the truth about each atom.
 
-Lengths of atoms and probes are in Angstrom, those of fields and worlds in nm, and names say so. Images are arrays ``[y, x]`` in
+Lengths of atoms and probes are in Angstrom, lengths of fields and worlds in nm; names contain the unit. Images are arrays ``[y, x]`` in
 fractions of the incident beam. Every error is a :class:`StemworldsError`.
 
     >>> import stemworlds as sw
@@ -112,7 +112,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> _Any:
-    # Imports PyTorch only where it is asked for.
+    # PyTorch takes seconds to import, so it is imported at the first use of `stemworlds.torch`.
     if name == "torch":
         import importlib
 

@@ -1,4 +1,4 @@
-"""The programs that the package installs: ``stemgen``, and ``stemworlds`` for what only Python has; ``python -m stemworlds`` is both."""
+"""Runs the installed programs: ``stemgen``, and ``stemworlds`` with the commands written in Python. ``python -m stemworlds`` runs both."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import sys
 
 from . import _core
 
-#: Commands that are written in Python: module, and what each is for.
+#: Commands that are written in Python: the module of each, and its line in the help.
 _COMMANDS = {
-    "bench": (".bench.command", "Run agents in worlds, and report what they found for their dose"),
-    "serve": (".serving.command", "Serve a microscope that other programs drive over a socket"),
-    "train": (".train.command", "Train networks that see columns and what they hold"),
+    "bench": (".bench.command", "Run agents in worlds, and report their scores as a function of dose"),
+    "serve": (".serving.command", "Serve a simulated microscope that other programs control over a socket"),
+    "train": (".train.command", "Train networks that find atomic columns and their defects"),
 }
 
 
@@ -32,8 +32,8 @@ def main() -> int:
 
 
 def program(words: list[str] | None = None) -> int:
-    """Runs ``stemgen`` with these arguments, or those of this process; returns the exit code."""
-    # This process is the program, which listens to signals itself.
+    """Runs ``stemgen`` with these arguments, or the arguments of this process; returns the exit code."""
+    # The compiled program handles Ctrl-C, so Python's own handler is removed.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     return _core.main(sys.argv[1:] if words is None else words, [sys.executable, "-m", "stemworlds"])

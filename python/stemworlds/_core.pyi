@@ -1,4 +1,4 @@
-"""The extension module. Its functions take what the package's own modules give them; use those."""
+"""Declares the compiled extension module. It is private: the other modules of the package are the interface."""
 
 import os
 from collections.abc import Sequence
@@ -75,7 +75,7 @@ class _SimulationRequest(TypedDict):
     structure: str
 
 class PatternsRequest(TypedDict, total=False):
-    """A pixelated detector, and how it is read."""
+    """A pixelated detector and its binning."""
 
     pixels: int
     max_angle_mrad: float
@@ -84,7 +84,7 @@ class PatternsRequest(TypedDict, total=False):
     mtf: float | list[list[float]]
 
 class SimulationRequest(_SimulationRequest, total=False):
-    """What ``stemgen::simulation::SimulationRequest`` reads; the library has the defaults of what is not given."""
+    """The options of ``stemgen::simulation::SimulationRequest``. Missing keys take the library's defaults."""
 
     thicknesses_angstrom: list[float]
     plane_wave: bool
@@ -131,7 +131,7 @@ class DiffractionPattern(TypedDict):
     band_limit_mrad: float
 
 class RecordingRequest(TypedDict, total=False):
-    """What ``stemgen::world::RecordingRequest`` reads; the library has the defaults of what is not given."""
+    """The options of ``stemgen::world::RecordingRequest``. Missing keys take the library's defaults."""
 
     region_nm: tuple[float, float, float, float]
     at_nm: tuple[float, float]
@@ -154,7 +154,7 @@ class RecordingOptions(TypedDict):
     overwrite: bool
 
 class FieldOptions(TypedDict):
-    """A recipe, or a world and with it how it was made."""
+    """A recipe, or a world, whose file contains its recipe."""
 
     toml: str | None
     world: str | None

@@ -1,4 +1,4 @@
-"""Fields: a world, or the recipe of one."""
+"""Converts fields, which are worlds or recipes, for the extension."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WORLDS = (".h5", ".hdf5")
 
 
 def world_path(field: FieldLike) -> str | None:
-    """The path of a world; ``None`` for a recipe."""
+    """Returns the path of a world; ``None`` for a recipe."""
     if isinstance(field, World):
         return field.path
     if isinstance(field, (str, os.PathLike)) and os.fspath(field).lower().endswith(_WORLDS):
@@ -29,7 +29,7 @@ def world_path(field: FieldLike) -> str | None:
 def field_options(
     field: FieldLike, changes: Mapping[str, Any], acquisition: Mapping[str, Any] | None = None
 ) -> _core.FieldOptions:
-    """As the extension takes it. ``changes`` are those of a recipe; ``acquisition`` changes values of the recording."""
+    """Returns a field in the extension's form. ``changes`` are changes of a recipe; ``acquisition`` changes values of the recording."""
     recording = [_assignment(f"acquisition.{key}", value) for key, value in (acquisition or {}).items()]
     world = world_path(field)
     if world is not None:

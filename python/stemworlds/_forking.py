@@ -1,7 +1,9 @@
-"""What a fork leaves in the child: memory as it was, but none of the threads that were about to let go of something.
+"""Makes objects safe to use in a process that forks.
 
-Reads of world files are short: a fork waits for those of other threads. Recordings may take minutes: what another thread uses while the
-process is forked is refused in the child, where nobody would ever let go of it.
+A forked child gets a copy of the memory, but none of the other threads. An object that another thread was using would stay in use for ever.
+
+Reads of world files are short, so a fork waits until other threads have finished theirs. Recordings may take minutes, so a fork does not
+wait: the child refuses every object that another thread was using when the process was forked.
 """
 
 from __future__ import annotations
@@ -17,16 +19,16 @@ from .errors import StemworldsError
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
-#: Guards what is below. A handler of a signal may fork while its own thread has it.
+#: Guards the two variables below. It is re-entrant, since a signal handler may fork while its own thread holds it.
 _changed = threading.Condition(threading.RLock())
-#: Reads that go on, by thread.
+#: Number of unfinished reads of each thread.
 _reads: dict[int, int] = {}
-#: Forks that wait for reads. No read begins meanwhile, or threads that read again and again would keep a fork waiting for ever.
+#: Number of forks that wait for reads. No read begins meanwhile, since threads that read repeatedly would delay a fork for ever.
 _forks = 0
 
 
 def reading(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-    """A function that reads a world file; the process is not forked meanwhile."""
+    """Wraps a function that reads a world file. The process is not forked while the function runs."""
 
     def read(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
         me = threading.get_ident()
@@ -46,11 +48,11 @@ def reading(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Re
 
 
 class Used:
-    """Who is used in calls that may take long.
+    """Records whether an object is in use by calls that may take minutes.
 
     Args:
-        what: its name in messages.
-        instead: how the child gets one of its own.
+        what: name of the object in messages.
+        instead: how a child process gets an object that it can use, for messages.
     """
 
     def __init__(self, what: str, instead: str) -> None:
@@ -61,10 +63,10 @@ class Used:
             _used.add(self)
 
     def by(self, function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-        """A function that uses it.
+        """Wraps a function that uses the object.
 
         Raises:
-            StemworldsError: when it is called in a child of a fork, if another thread was using the same then.
+            StemworldsError: if it is called in a forked child, and another thread was using the object when the process was forked.
         """
 
         def use(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
@@ -84,7 +86,7 @@ class Used:
         return use
 
     def forked(self) -> None:
-        """In the child of a fork."""
+        """Marks the object as lost if it was in use. The child calls this after a fork."""
         self._lost = self._lost or self._calls > 0
 
 
@@ -108,7 +110,7 @@ def _in_parent() -> None:
 
 def _in_child() -> None:
     global _changed, _forks
-    # Threads that waited for the old one are not here.
+    # The old condition lists waiting threads, which do not exist in the child.
     _changed = threading.Condition(threading.RLock())
     _forks = 0
     _reads.clear()

@@ -1,4 +1,4 @@
-"""How long calls run: threads, and progress."""
+"""Runs long calls of the extension with a number of threads and progress."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, ParamSpec, TypedDict, TypeVar
 
 from .errors import _invalid, _wrong_type
 
-#: Called with the stage, its unit, and how many of how many units are done.
+#: Is called with the name of the stage, its unit, the number of units done, and their total number.
 ProgressCallback = Callable[[str, str, int, int], object]
 Progress = bool | ProgressCallback | None
 
@@ -25,7 +25,7 @@ def call(function: Callable[_Arguments, _Result], *args: _Arguments.args, **kwar
     try:
         return function(*args, **kwargs)
     except TypeError as error:
-        # Errors of a callback have a traceback of their own.
+        # An error that a callback raised has a longer traceback, and is passed on unchanged.
         own = error.__traceback__ is not None and error.__traceback__.tb_next is None
         if not own or not str(error).startswith(("argument '", "failed to extract")):
             raise
@@ -33,14 +33,18 @@ def call(function: Callable[_Arguments, _Result], *args: _Arguments.args, **kwar
 
 
 class Running(TypedDict):
-    """As the extension takes it."""
+    """Threads and progress of a call, in the extension's form."""
 
     threads: int | None
     progress: ProgressCallback | None
 
 
 def running(threads: int | None, progress: Progress) -> Running:
-    """How a call runs; ``threads=None`` takes all processors."""
+    """Checks threads and progress of a call. ``threads=None`` uses all processors.
+
+    Raises:
+        InvalidValue: for a wrong number of threads, or a ``progress`` that is no function.
+    """
     if threads is not None and (not isinstance(threads, int) or not 1 <= threads <= 4096):
         raise _invalid("threads", f"threads = {threads!r}: expected a whole number from 1 to 4096")
     if progress is True:
@@ -57,7 +61,7 @@ def _bar() -> ProgressCallback:
 
 
 class _Tqdm:
-    """A bar of tqdm for each stage, in terminals and notebooks."""
+    """Shows progress as one tqdm bar for each stage, in terminals and notebooks."""
 
     def __init__(self) -> None:
         self._bar: Any = None
@@ -80,7 +84,7 @@ class _Tqdm:
 
 
 class _Lines:
-    """Lines on standard error, where tqdm is not installed."""
+    """Prints progress as lines on standard error, if tqdm is not installed."""
 
     def __init__(self) -> None:
         self._next = time.monotonic() + 2.0

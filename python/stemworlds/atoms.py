@@ -1,4 +1,4 @@
-"""Atoms as they come and go: ASE, files, plain arrays."""
+"""Converts atoms between ASE, files and plain arrays."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .errors import _invalid
 
 @runtime_checkable
 class AseAtoms(Protocol):
-    """What is taken of ``ase.Atoms``; ASE itself need not be installed."""
+    """The methods of ``ase.Atoms`` that are used. ASE need not be installed."""
 
     def get_atomic_numbers(self) -> Any: ...
     def get_positions(self) -> Any: ...
@@ -31,10 +31,11 @@ class AtomArrays:
         numbers: atomic numbers, ``[atom]``.
         positions: ``[atom, 3]`` in Angstrom; the beam runs along +z.
         cell: vectors as rows, ``[3, 3]``, in Angstrom.
-        occupancies: share of its site that each atom occupies, ``[atom]``, above 0, to 1; atoms within 0.01 A share a site. All 1 by
-            default.
-        arrays: more that is known of each atom. Specimens have ``column``, the index of the atomic column in the truth of a world, or -1;
-            ``defect``, such as ``"substitution_Ge"`` or ``"none"``; ``atom_type``, 0 pristine, 1 vacancy, 2 substitution.
+        occupancies: fraction of its site that each atom occupies, ``[atom]``, above 0 and at most 1; atoms within 0.01 A share a site.
+            All 1 by default.
+        arrays: further arrays by name, one value for each atom. Specimens have ``column``, the index of the atomic column in the truth
+            of a world, or -1; ``defect``, for example ``"substitution_Ge"`` or ``"none"``; ``atom_type``, 0 pristine, 1 vacancy,
+            2 substitution.
     """
 
     numbers: npt.NDArray[np.int32]
@@ -47,7 +48,7 @@ class AtomArrays:
         return len(self.numbers)
 
     def to_ase(self) -> Any:
-        """The atoms as ``ase.Atoms``, with ``arrays``; ASE has to be installed."""
+        """Returns the atoms as ``ase.Atoms``, with ``arrays``. ASE has to be installed."""
         from ase import Atoms
 
         atoms = Atoms(numbers=self.numbers, positions=self.positions, cell=self.cell, pbc=False)
@@ -61,7 +62,7 @@ Atoms = AseAtoms | AtomArrays | str | os.PathLike[str]
 
 
 def atoms_source(atoms: Atoms) -> str | _core.AtomArrays:
-    """As the extension takes it: a path, or a dict of arrays."""
+    """Returns atoms in the extension's form: a path, or a dict of arrays."""
     if isinstance(atoms, (str, os.PathLike)):
         return os.fspath(atoms)
     if isinstance(atoms, AtomArrays):
@@ -72,7 +73,7 @@ def atoms_source(atoms: Atoms) -> str | _core.AtomArrays:
 
 
 def _of_ase(atoms: Any) -> _core.AtomArrays:
-    """Atoms of ASE, with what they say of mixed sites and of where the cell begins."""
+    """Converts atoms of ASE, with their partial occupancies and the origin of their cell."""
     numbers, positions = np.asarray(atoms.get_atomic_numbers()), np.asarray(atoms.get_positions(), dtype=np.float64)
     if hasattr(atoms, "get_celldisp"):
         positions = positions - np.asarray(atoms.get_celldisp(), dtype=np.float64).reshape(3)
@@ -90,7 +91,7 @@ def _of_ase(atoms: Any) -> _core.AtomArrays:
 
     sites, drawn, shares = [], [], []
     for site, kind in enumerate(np.asarray(kinds).tolist()):
-        # Keys are text since ASE 3.21, and were numbers before.
+        # ASE 3.21 and later write the keys as text, earlier versions as numbers.
         of_site = mixed.get(str(kind), mixed.get(kind))
         if of_site is None:
             raise _invalid("atoms", f"atoms.info['occupancy'] has no entry {kind!r}, which atom {site} is of")

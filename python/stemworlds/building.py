@@ -1,4 +1,4 @@
-"""Worlds are built, and planned."""
+"""Builds and plans worlds."""
 
 from __future__ import annotations
 
@@ -20,27 +20,28 @@ class BuildOptions(TypedDict, total=False):
     """Options of :func:`build` and :func:`plan`.
 
     Recipe:
-        difficulty, set, unset, grid, seed, acquisition: as :class:`Recipe` takes them.
+        difficulty, set, unset, grid, seed, acquisition: see :class:`Recipe`.
 
     Image:
         noise: add Poisson noise. Default ``True``.
         keep_clean: also store the noise-free tiles.
-        engine: how images are made; by default a mosaic, or windows where a field is too small for it to pay.
+        engine: method of simulation; by default a mosaic, or windows for a field that is too small for a mosaic to be faster.
         window_angstrom: width of the window that follows each probe.
-        interpolation: of PRISM, along x and y.
-        accuracy_percent: widen the windows until the audit's rms error is at most so many per cent of the mean image.
-        max_error_percent: the same for the errors at bright columns and over all pixels of the brightest column.
+        interpolation: interpolation of PRISM along x and y.
+        accuracy_percent: widen the windows until the audit's rms error is at most this, in per cent of the mean image.
+        max_error_percent: widen the windows until both errors of the audit are at most this: at bright columns, in per cent of their
+            intensity, and over all pixels, in per cent of the brightest column.
         expansion_percent: ``"auto"``, ``"off"`` or per cent.
-        profile: ``"published"`` takes the settings of the published worlds.
-        audit: regions that are simulated exactly beforehand; 0 for none, 1 by default.
-        subtile_nm, subtile_overlap_nm: width and overlap of what is simulated at once.
+        profile: ``"published"`` uses the settings of the published worlds.
+        audit: number of regions that are audited before the build; 0 for none, 1 by default.
+        subtile_nm, subtile_overlap_nm: width and overlap of sub-tiles.
 
     Running:
-        cache: ``False`` keeps no simulations for other worlds; a path is another folder for them.
+        cache: ``False`` stores no simulations for other worlds; a path is the folder in which they are stored.
         overwrite: replace an existing file.
         png: also write a picture beside the file.
-        force: go on though more memory is needed than is free.
-        threads: number of threads; all processors by default. The result is the same for any number.
+        force: continue if the build needs more memory than is free.
+        threads: number of threads; all processors by default. The result does not depend on it.
         progress: ``True`` for a bar, or a function of (stage, unit, done, total).
     """
 
@@ -72,14 +73,14 @@ class BuildOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class BuildPart:
-    """What :func:`build_part` did.
+    """Result of :func:`build_part`.
 
     Attributes:
-        shard: number of the part, from 0, and how many there are.
-        library_lacks: simulations of the library that other parts have not made yet; sub-tiles are made when there are none.
-        subtiles: sub-tiles of this part that are there now.
-        subtiles_resumed: those of them that were there before.
-        wall_time_s: time it took.
+        shard: number of the part, from 0, and number of parts.
+        library_lacks: number of library simulations that other parts have not made yet. Sub-tiles are made only if it is 0.
+        subtiles: number of finished sub-tiles of this part.
+        subtiles_resumed: number of these sub-tiles that were finished before the call.
+        wall_time_s: duration of the call.
     """
 
     shard: tuple[int, int]
@@ -91,17 +92,17 @@ class BuildPart:
 
 @dataclass(frozen=True)
 class BuildPlan:
-    """What a build would do and take; nothing was simulated or written.
+    """Size, memory and time of a build, before it begins.
 
     Attributes:
         grid: rows and columns of tiles.
         shape: height and width in pixels.
-        fov_nm: the same in nm.
-        subtiles: parts that are simulated at once.
-        memory_bytes, disk_bytes: about, at most.
-        time_range_s: at least and at most, from a short measurement.
-        warnings: what should be known.
-        details: everything, as ``stemgen build --dry-run --json`` has it.
+        fov_nm: height and width in nm.
+        subtiles: number of sub-tiles.
+        memory_bytes, disk_bytes: estimated maximum of memory and disk space.
+        time_range_s: least and greatest estimated time, from a short measurement.
+        warnings: warnings about the build.
+        details: all values, as in ``stemgen build --dry-run --json``.
     """
 
     grid: tuple[int, int]
@@ -121,8 +122,8 @@ class BuildPlan:
 def build(recipe: RecipeLike, *, out: str | os.PathLike[str], **options: Unpack[BuildOptions]) -> World:
     """Builds a world: the image of a whole specimen, and the truth about each of its atoms.
 
-    The same recipe, seed and version give the same image and truth, byte for byte, for any number of threads, and the same as
-    ``stemgen build``. After Ctrl-C or a crash the same call goes on where it was.
+    Recipe, seed and version determine image and truth byte for byte. The number of threads has no effect, and ``stemgen build`` writes the
+    same bytes. After Ctrl-C or a crash, an identical call continues the build.
 
     Args:
         recipe: name, path, TOML, dict or :class:`Recipe`.
@@ -130,14 +131,14 @@ def build(recipe: RecipeLike, *, out: str | os.PathLike[str], **options: Unpack[
         **options: see :class:`BuildOptions`.
 
     Returns:
-        The world, open for reading; ``summary`` tells how it was built.
+        The world, open for reading. Its ``summary`` contains the facts about the build.
 
     Raises:
-        InvalidValue: for recipe and options.
-        FileThere: unless ``overwrite``.
-        DiskFull, OutputLocked: where the file cannot be written.
-        NotEnoughMemory: unless ``force``.
-        KeyboardInterrupt: what is done is kept in ``FILE.work``.
+        InvalidValue: for an invalid recipe or option.
+        FileThere: if ``out`` exists, unless ``overwrite`` is set.
+        DiskFull, OutputLocked: if the file cannot be written.
+        NotEnoughMemory: if the build needs more memory than is free, unless ``force`` is set.
+        KeyboardInterrupt: after Ctrl-C. Finished parts are kept in the folder ``FILE.work``.
     """
     built = call(_core.build_world, _building(recipe, out, options), _run(options))
     world = World(out)
@@ -146,21 +147,21 @@ def build(recipe: RecipeLike, *, out: str | os.PathLike[str], **options: Unpack[
 
 
 def build_part(recipe: RecipeLike, *, out: str | os.PathLike[str], shard: tuple[int, int], **options: Unpack[BuildOptions]) -> BuildPart:
-    """Makes one of several parts of what a world takes, for processes or machines that see the same files.
+    """Makes one of several parts of a world, for processes or machines that share a file system.
 
-    :func:`build` with the same arguments, but for ``shard``, finds all parts, makes what is missing, and writes the world: the same
-    bytes for any number of parts. The sub-tiles of a mosaic need the library of all parts: start the parts again when all have ended,
-    or leave the sub-tiles to :func:`build`.
+    :func:`build` with equal arguments, but without ``shard``, collects all parts, makes missing ones, and writes the world. The number of
+    parts does not change its bytes. The sub-tiles of a mosaic need the library of all parts. Start the parts a second time when all have
+    ended, or let :func:`build` make the sub-tiles.
 
     Args:
         recipe: name, path, TOML, dict or :class:`Recipe`.
         out: the file that :func:`build` will write.
-        shard: number of this part, from 0, and how many there are.
+        shard: number of this part, from 0, and number of parts.
         **options: see :class:`BuildOptions`.
 
     Raises:
-        InvalidValue: for recipe, options and shard, and for parts of another world beside ``out``, which are kept.
-        FileThere, OutputLocked, DiskFull: where the world cannot be made.
+        InvalidValue: for an invalid recipe, option or shard, and if parts of another world lie beside ``out``. These are kept.
+        FileThere, OutputLocked, DiskFull: if the world cannot be written.
     """
     made = json.loads(call(_core.build_part, _building(recipe, out, options), shard, _run(options)))
     return BuildPart(
@@ -173,7 +174,7 @@ def build_part(recipe: RecipeLike, *, out: str | os.PathLike[str], shard: tuple[
 
 
 def plan(recipe: RecipeLike, **options: Unpack[BuildOptions]) -> BuildPlan:
-    """What :func:`build` would do and take with the same arguments; nothing is simulated or written."""
+    """Estimates size, memory and time of :func:`build` with these arguments. No file is written."""
     report = json.loads(call(_core.plan_build, _building(recipe, "world.h5", options), _run(options)))
     grid, shape, fov, times = (tuple(report[name]) for name in ("tiles", "pixels", "fov_nm", "estimated_range_s"))
     return BuildPlan(

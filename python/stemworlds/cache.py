@@ -1,7 +1,7 @@
-"""The simulations that worlds share, on disk.
+"""Lists, fills and checks the cache of simulations that worlds share.
 
-Those of the package's own crystalline recipes come along in ``stemworlds-library``, a package of data (``pip install
-stemworlds[library]``); they are only read, and looked for first. The cache keeps what is simulated beside these.
+The simulations for the shipped crystals and layers are in the supplied library, the data package ``stemworlds-library`` (``pip install
+stemworlds[library]``). It is read first, and never changed. The cache stores all other simulations.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if _data is not None and _data.submodule_search_locations:
 
 @dataclass(frozen=True)
 class Holding:
-    """What the cache, or the library that comes along, holds of a material."""
+    """Contents of the cache, or of the supplied library, for a material."""
 
     material: str
     images: int
@@ -34,12 +34,12 @@ class Holding:
 
 @dataclass(frozen=True)
 class Filling:
-    """What was done to the simulations that worlds of a recipe share.
+    """Result of :func:`fill`, for the simulations that worlds of a recipe share.
 
     Attributes:
-        images: how many they are.
-        simulated: of them, simulated by this call.
-        lacking: of them, still to be simulated, by other parts.
+        images: number of images.
+        simulated: number of images that this call simulated.
+        lacking: number of images that other parts have still to simulate.
     """
 
     images: int
@@ -49,14 +49,14 @@ class Filling:
 
 @dataclass(frozen=True)
 class CacheVerification:
-    """Whether the simulations in the cache are whole, and what this version simulates.
+    """Result of :func:`verify`.
 
     Attributes:
-        sound: none is damaged, and those that were simulated again agree.
+        sound: whether no image is damaged, and all recomputed images agree.
         images: number of images in the cache.
-        supplied: number of those in the library that comes along, all whole.
-        damaged: what is wrong with a file, by its path; remove it, and the next build simulates it again.
-        recomputed: greatest difference of images that were simulated again, in parts of the brightest value, by their names.
+        supplied: number of undamaged images in the supplied library.
+        damaged: descriptions of the damage, by path of the file. Remove a damaged file, and the next build simulates it again.
+        recomputed: greatest difference of each recomputed image, in units of its brightest value, by name.
     """
 
     sound: bool
@@ -67,30 +67,34 @@ class CacheVerification:
 
 
 def path() -> str | None:
-    """The folder: ``$STEMGEN_CACHE``, else ``stemgen`` in ``$XDG_CACHE_HOME`` or ``~/.cache``; ``None`` where neither is known."""
+    """Returns the folder of the cache: ``$STEMGEN_CACHE``, or ``stemgen`` in ``$XDG_CACHE_HOME`` or ``~/.cache``; ``None`` if none is
+    known."""
     folder = _core.cache_folder()
     return None if folder is None else str(folder)
 
 
 def list() -> tuple[Holding, ...]:
-    """What the cache holds, by material."""
+    """Lists the contents of the cache, by material."""
     return tuple(Holding(*held) for held in _core.cache_list())
 
 
 def library_path() -> str | None:
-    """The folder of the library that comes along: ``$STEMGEN_LIBRARY`` (empty for none), else that of the package
-    ``stemworlds-library`` or of the clone that this package was built in; ``None`` where there is none of these."""
+    """Returns the folder of the supplied library; ``None`` if there is none.
+
+    It is ``$STEMGEN_LIBRARY`` (empty for no library), or the folder of the package ``stemworlds-library``, or of the source tree in which
+    this package was built.
+    """
     folder = _core.library_folder()
     return None if folder is None else str(folder)
 
 
 def library() -> tuple[Holding, ...]:
-    """What the library that comes along holds, by material."""
+    """Lists the contents of the supplied library, by material."""
     return tuple(Holding(*held) for held in _core.library_list())
 
 
 def clear(material: str | None = None) -> tuple[Holding, ...]:
-    """Removes the simulations of a material, or all; returns what was removed. Nothing is lost with them but time."""
+    """Removes the simulations of a material, or all, from the cache. Returns the removed ones. Later builds simulate them again."""
     return tuple(Holding(*held) for held in _core.cache_clear(material))
 
 
@@ -103,21 +107,21 @@ def fill(
     threads: int | None = None,
     progress: Progress = False,
 ) -> Filling:
-    """Simulates what the worlds of a recipe share, whatever their seed, before any of them is built.
+    """Simulates the images that all worlds of a recipe share, before any of these worlds is built.
 
-    After Ctrl-C what is done is kept.
+    The images do not depend on the seed. After Ctrl-C, finished images are kept.
 
     Args:
         recipe: name, path, TOML, dict or :class:`~stemworlds.Recipe`.
-        difficulty: the tier, where the recipe has some.
-        shard: number of a part, from 0, and how many there are, for processes or machines that see the same cache.
-        library: ``False`` simulates also what the library that comes along holds.
+        difficulty: the tier, if the recipe has tiers.
+        shard: number of a part, from 0, and number of parts, for processes or machines that share the cache.
+        library: ``False`` simulates the images of the supplied library as well.
 
     Returns:
-        What was done: all numbers are 0 where worlds of the recipe share nothing, as films do.
+        The numbers of images. All are 0 if worlds of the recipe share no images, for example for films.
 
     Raises:
-        InvalidValue: for the recipe and ``shard``.
+        InvalidValue: for an invalid recipe or ``shard``.
     """
     toml = Recipe(recipe, difficulty).toml
     done = call(_core.cache_fill, toml, shard, library, running(threads, progress))
@@ -133,15 +137,16 @@ def verify(
     threads: int | None = None,
     progress: Progress = False,
 ) -> CacheVerification:
-    """Reads all simulations of a material, or of all, and simulates some of them again.
+    """Reads all simulations of a material, or of all materials, and recomputes some of them.
 
     Args:
-        material: only this one.
-        recompute: so many images of the recipe of this name, drawn by ``seed``, are simulated and compared.
-        difficulty: the tier of that recipe.
+        material: the material; all by default.
+        recompute: number of images, drawn by ``seed``, that are simulated again and compared. They belong to the recipe with the name
+            ``material``.
+        difficulty: the tier of this recipe.
 
     Raises:
-        InvalidValue: where nothing is held of the material.
+        InvalidValue: if the cache and the library contain no image of the material.
     """
     again = None
     if recompute:
@@ -167,11 +172,11 @@ def export_library(
     threads: int | None = None,
     progress: Progress = False,
 ) -> Mapping[str, Holding]:
-    """Writes the simulations of a material, or all, to one file for another machine; returns what it holds, by material.
+    """Writes the simulations of a material, or all, to one file for another machine. Returns its contents, by material.
 
     Raises:
-        FileThere: unless ``overwrite``.
-        FormatError: for a damaged simulation in the cache.
+        FileThere: if ``out`` exists, unless ``overwrite`` is set.
+        FormatError: if a simulation in the cache is damaged.
     """
     told = call(_core.cache_export, os.fspath(out), material, overwrite, running(threads, progress))
     return _holdings(told)
@@ -180,10 +185,10 @@ def export_library(
 def import_library(
     path: str | os.PathLike[str], *, threads: int | None = None, progress: Progress = False
 ) -> Mapping[str, Holding]:
-    """Takes the simulations of a file into the cache; returns what it holds, by material.
+    """Copies the simulations of a file into the cache. Returns the contents of the file, by material.
 
     Raises:
-        FormatError: for a file that is damaged, of another version, or no library: then nothing is taken.
+        FormatError: for a file that is damaged, of another version, or no library. The cache is then unchanged.
     """
     return _holdings(call(_core.cache_import, os.fspath(path), running(threads, progress)))
 

@@ -1,4 +1,4 @@
-"""Is it right? Audits, validation, and the comparison of worlds."""
+"""Checks accuracy and integrity: audits, validation, and comparison of worlds."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Path = str | os.PathLike[str]
 
 @dataclass(frozen=True)
 class Audit:
-    """The error of a world's image, against multislice of the same atoms.
+    """The error of a world's image, compared with multislice for the same atoms.
 
     Attributes:
         bright_rms_percent: rms error at bright columns, in per cent of their intensity.
         all_rms_percent: rms error of all pixels, in per cent of the brightest column.
-        worst_percent: the greatest of them.
-        regions: number of regions that were simulated again.
-        details: everything, as ``stemgen audit --json`` has it.
+        worst_percent: the greater of the two errors.
+        regions: number of audited regions.
+        details: all values, as in ``stemgen audit --json``.
     """
 
     bright_rms_percent: float
@@ -52,7 +52,7 @@ def audit(
     progress: Progress = False,
     **recipe: Any,
 ) -> Audit:
-    """Simulates regions of a world again, by plain multislice of the very same atoms, and tells the error.
+    """Simulates regions of a world again by plain multislice with the same displaced atoms. Returns the error of the world.
 
     Args:
         field: a :class:`World`, the path of one, or a recipe, of which the error of a world is told before it is built.
@@ -91,12 +91,12 @@ def audit(
 
 @dataclass(frozen=True)
 class Validation:
-    """What the shipped suite of checks comes to.
+    """Result of the validation suite.
 
     Attributes:
-        passed: whether all numbers lie within their limits.
-        failed: names of the cases with a number beyond its limit.
-        details: everything.
+        passed: whether all numbers are within their limits.
+        failed: names of the cases with a number outside of its limit.
+        details: all values.
     """
 
     passed: bool
@@ -105,7 +105,7 @@ class Validation:
 
 
 def validation_cases() -> dict[str, str]:
-    """The cases of the suite: name and title."""
+    """Returns the name and the title of each case of the validation suite."""
     return {name: title for name, title, _, _ in _core.validation_cases()}
 
 
@@ -118,11 +118,11 @@ def validate(
     threads: int | None = None,
     progress: Progress = False,
 ) -> Validation:
-    """Checks the program against abTEM, published numbers and conservation laws: some minutes.
+    """Compares the program with abTEM, published numbers and conservation laws. It takes some minutes.
 
     Args:
         cases: names of cases; all by default.
-        quick: the quick ones only.
+        quick: run the quick cases only.
         out: page (HTML) to write.
     """
     names = [cases] if isinstance(cases, str) else list(cases)
@@ -135,13 +135,13 @@ def validate(
 
 @dataclass(frozen=True)
 class Comparison:
-    """Whether two worlds are of one kind.
+    """Result of a statistical comparison of two worlds.
 
     Attributes:
         verdict: ``"same"``, ``"different"`` or ``"undecided"``.
-        summary: the same in a sentence.
-        different: what differs.
-        details: everything.
+        summary: the verdict in a sentence.
+        different: names of the statistics that differ.
+        details: all values.
     """
 
     verdict: Literal["same", "different", "undecided"]
@@ -165,9 +165,9 @@ def compare(
 
     Args:
         a, b: the files.
-        alpha: how often worlds of one kind may be called different.
+        alpha: accepted probability of the verdict ``"different"`` for two worlds of one recipe.
         out: page (HTML) to write.
-        check: first reads both files through in a process of their own, as :class:`World` does.
+        check: read both files first in a separate process, see :class:`World`.
     """
     paths = [os.fspath(a), os.fspath(b)]
     if check:
@@ -182,10 +182,12 @@ def compare(
 
 @dataclass(frozen=True)
 class Verification:
-    """Whether a world file is whole and agrees with itself.
+    """Result of the consistency checks of a world file.
 
     Attributes:
-        sound: nothing is wrong. faults: what is, by name of the check. details: what each check found, by name.
+        sound: whether all checks passed.
+        faults: descriptions of the faults, by name of the check.
+        details: results of each check, by name.
     """
 
     sound: bool
@@ -194,14 +196,15 @@ class Verification:
 
 
 def verify(world: Path, *, check: bool = True, threads: int | None = None, progress: Progress = False) -> Verification:
-    """Holds tiles against each other and the overview, lists of the truth against each other and the field, and counts against the dose.
+    """Checks a world file: tiles against neighbours and overview, lists of the truth against each other and the field, counts against the
+    dose.
 
     Args:
         world: the file.
-        check: first reads it through in a process of its own, as :class:`World` does.
+        check: read the file first in a separate process, see :class:`World`.
 
     Raises:
-        FileError: the file is not there, or cannot be read.
+        FileError: if the file does not exist, or cannot be read.
     """
     if check:
         check_file(os.fspath(world))
@@ -211,7 +214,7 @@ def verify(world: Path, *, check: bool = True, threads: int | None = None, progr
 
 
 def check_file(path: str) -> None:
-    """Reads a file through in a process of its own: damaged files of strangers may end or hang the HDF5 library."""
+    """Reads a whole file in a separate process, since a damaged file may crash or hang the HDF5 library."""
     _core.check_file(path, [sys.executable, "-m", "stemworlds"])
 
 

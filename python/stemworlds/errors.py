@@ -1,7 +1,7 @@
-"""What can go wrong: one family of exceptions, with the library's words and the keywords of Python.
+"""The exceptions of the package, with messages of the library and keywords of Python.
 
-Every exception is a :class:`StemworldsError`. Bad values are a :class:`ValueError` too, files an :class:`OSError`, and a lack of
-memory a :class:`MemoryError`. Ctrl-C raises :class:`KeyboardInterrupt`, as anywhere.
+Every exception is a :class:`StemworldsError`. An invalid value is a :class:`ValueError` too, an error of a file an :class:`OSError`, and a
+lack of memory a :class:`MemoryError`. Ctrl-C raises :class:`KeyboardInterrupt`, as usual in Python.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ __all__ = [
 
 
 class StemworldsError(Exception):
-    """Something went wrong in stemworlds; the message says what, where, and what to do.
+    """Base of all exceptions. The message names the fault, its place, and a remedy.
 
     Attributes:
-        keyword: the argument that mends it, where one does.
-        setting: the library's name of that setting.
+        keyword: name of the argument to change; ``None`` if no argument is at fault.
+        setting: the library's name of the setting; ``None`` likewise.
     """
 
     keyword: str | None = None
@@ -41,50 +41,50 @@ class StemworldsError(Exception):
 
 
 class InvalidValue(StemworldsError, ValueError):
-    """A value is out of its limits, or two contradict each other."""
+    """Raised if a value is out of its limits, or two values contradict each other."""
 
 
 class WrongType(StemworldsError, TypeError):
-    """A value is of another type than expected: a text for a number, say."""
+    """Raised if a value has a wrong type, for example a text instead of a number."""
 
 
 class FileError(StemworldsError, OSError):
-    """A file cannot be read or written; ``filename`` and ``errno`` tell which and why."""
+    """Raised if a file cannot be read or written. ``filename`` is its name, and ``errno`` the system's reason."""
 
 
 class FileMissing(FileError, FileNotFoundError):
-    """A file or its folder is not there."""
+    """Raised if a file or its folder does not exist."""
 
 
 class FileThere(FileError, FileExistsError):
-    """A file is there already; ``overwrite=True`` replaces it."""
+    """Raised if a file exists already. ``overwrite=True`` replaces it."""
 
 
 class FileForbidden(FileError, PermissionError):
-    """A file or folder may not be read or written."""
+    """Raised without permission to read or write a file or folder."""
 
 
 class FormatError(FileError, ValueError):
-    """A file is damaged, or holds something else."""
+    """Raised if a file is damaged, or has another format."""
 
 
 class DiskFull(FileError):
-    """There is no room on the disk for what will be written."""
+    """Raised if the disk has too little free space for the output."""
 
 
 class OutputLocked(FileError):
-    """Another process is writing the same file."""
+    """Raised if another process is writing the same file."""
 
 
 class NotEnoughMemory(StemworldsError, MemoryError):
-    """A computation takes more memory than is free; ``force=True`` goes on all the same."""
+    """Raised if a computation needs more memory than is free. ``force=True`` computes nevertheless."""
 
 
 class InternalError(StemworldsError, RuntimeError):
-    """A fault of the program: please report it."""
+    """Raised for a fault of the program. Please report it."""
 
 
-#: The argument for each setting of the library; ``None`` where a key of the recipe, or nothing, mends it.
+#: The argument for each setting of the library; ``None`` for settings that only a recipe has, or nothing changes.
 _KEYWORDS: dict[str, str | None] = {
     "EnergyKev": "energy_kv",
     "SemiangleMrad": "semiangle_mrad",
@@ -245,7 +245,7 @@ def _of_library(
     path: str | _os.PathLike[str] | None = None,
     errno: int | None = None,
 ) -> StemworldsError:
-    """The exception for an error of the library; the extension calls this."""
+    """Makes the exception for an error of the library. The extension calls this function."""
     family = _KINDS.get(kind, InternalError)
     if kind == "file" and errno is not None:
         family = _ERRNOS.get(errno, FileError)
@@ -264,7 +264,7 @@ def _of_library(
     return error
 
 
-#: The argument for a key of the request that has another name.
+#: The argument for each key of the request with another name.
 _KEYS: dict[str, str] = {
     "energy_kev": "energy_kv",
     "source_lorentz_share": "source_lorentz",
@@ -275,7 +275,7 @@ _KEYS: dict[str, str] = {
 
 
 def _of_request(place: str, message: str, wrong_type: bool) -> StemworldsError:
-    """The exception for a value at ``place`` that no request has; the extension calls this."""
+    """Makes the exception for an invalid value at ``place`` of a request. The extension calls this function."""
     tables = {"specimen", "microscope", "numerics", ""}
     words = [word for word in place.split(".") if word not in tables] or [place]
     key = words[0].partition("[")[0]
@@ -287,14 +287,14 @@ def _of_request(place: str, message: str, wrong_type: bool) -> StemworldsError:
 
 
 def _invalid(keyword: str, message: str) -> InvalidValue:
-    """A value that the package refuses by itself."""
+    """Makes the exception for a value that Python code refuses."""
     error = InvalidValue(f"{message} (argument {keyword})")
     error.keyword = keyword
     return error
 
 
 def _wrong_type(error: TypeError) -> WrongType:
-    """What the extension says of an option that it cannot take, in fewer words."""
+    """Shortens the extension's message about an option of a wrong type."""
     told = str(error)
     keyword = told.rsplit(".", 1)[-1] if "field" in told else told.split("'")[1]
     causes = []

@@ -1,4 +1,4 @@
-"""Samples as files that others train on."""
+"""Writes samples to files for the training of networks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from . import _core
 from .errors import _invalid
 from .streaming import Sample, Stream
 
-#: Pixels of the polygon that stands for a particle's outline.
+#: Number of corners of the polygon for a particle's outline.
 _CORNERS = 32
 
 
@@ -30,7 +30,7 @@ def export(
     count: int | None = None,
     overwrite: bool = False,
 ) -> str:
-    """Writes samples to a file; its ending says which.
+    """Writes samples to a file, in the format of its ending.
 
     ============ ================================================================================================
     ``.npz``     stacks ``images``, ``clean``, ``heat_maps``, ``class_masks``, ``phase_masks`` (N, H, W); ``dose``, ``pixel_nm``,
@@ -43,11 +43,11 @@ def export(
     ``.tar``     WebDataset: for each sample ``image.npy``, ``heat_map.npy``, ``class_mask.npy``, ``columns.json``
     ============ ================================================================================================
 
-    Places are (x, y) in pixels, from the centre of the first pixel; y runs down, as the rows of the images do.
+    Places are (x, y) in pixels from the centre of the first pixel. y runs down, along the rows of the images.
 
     Args:
         samples: a :class:`Stream`, or samples.
-        count: number of samples, needed for a stream, which is endless.
+        count: number of samples. A stream needs it, since it is endless.
 
     Returns:
         The path of the file.
@@ -88,17 +88,17 @@ def _picture(sample: Sample) -> str:
 
 
 def _grey(image: Any) -> tuple[float, float]:
-    """Values of black and white: the percentiles 0.1 and 99.9."""
+    """Returns the values of black and white: the percentiles 0.1 and 99.9."""
     low, high = np.percentile(image, (0.1, 99.9))
     return float(low), float(high)
 
 
 def _png(image: Any) -> bytes:
-    """The image with its own pixels, 8 bits of grey."""
+    """Returns the image as a PNG with 8 bits of grey, without resampling."""
     low, high = _grey(image)
     grey = np.clip((image - low) / (high - low or 1) * 255, 0, 255).round().astype(np.uint8)
     height, width = grey.shape
-    # each row begins with its filter, none
+    # In PNG each row begins with the number of its filter; 0 is no filter.
     rows = np.concatenate([np.zeros((height, 1), np.uint8), grey], axis=1).tobytes()
 
     def part(kind: bytes, data: bytes) -> bytes:
@@ -127,7 +127,7 @@ def _stacks(samples: list[Sample]) -> dict[str, Any]:
 
 
 def _recipes(samples: list[Sample]) -> Any:
-    """The recipes by :attr:`Sample.source`; empty where no sample is of one."""
+    """Returns the recipes by :attr:`Sample.source`; an empty text for recipes without a sample."""
     recipes = [""] * (1 + max(sample.source for sample in samples))
     for sample in samples:
         recipes[sample.source] = sample.recipe
@@ -135,7 +135,7 @@ def _recipes(samples: list[Sample]) -> Any:
 
 
 def _columns(samples: list[Sample]) -> Any:
-    """The columns of all samples, one after the other, with the index of their sample."""
+    """Concatenates the columns of all samples, with the index of their sample."""
     fields = [("sample", "<i4"), *samples[0].targets.columns.dtype.descr]
     columns = np.zeros(sum(len(sample.targets.columns) for sample in samples), fields)
     first = 0
@@ -149,7 +149,7 @@ def _columns(samples: list[Sample]) -> Any:
 
 
 def _npz(samples: list[Sample]) -> bytes:
-    # Not by numpy.savez, which stores the time: the same samples make the same bytes.
+    # numpy.savez would store the time, while equal samples have to give equal bytes.
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
         for name, stack in _stacks(samples).items():
@@ -232,7 +232,7 @@ def _coco(samples: list[Sample], folder: str = "") -> bytes:
 
 
 def _outline(particle: Any, width: int, height: int) -> Any:
-    """Corners (x, y) of the outline within the image; COCO counts from the corner of the first pixel."""
+    """Returns the corners (x, y) of the outline, clipped to the image. COCO counts from the corner of the first pixel."""
     turn = np.linspace(0, 2 * np.pi, _CORNERS, endpoint=False)
     x = particle["x_px"] + 0.5 + particle["radius_px"] * np.cos(turn)
     y = particle["y_px"] + 0.5 + particle["radius_px"] * np.sin(turn)

@@ -1,4 +1,4 @@
-"""Results: light objects over NumPy arrays."""
+"""The results of simulations, as NumPy arrays with axes and metadata."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ class Image:
     """An image with its axes.
 
     Attributes:
-        name: name of the detector, or of what the image shows.
-        array: float32, ``[y, x]``, or ``[thickness, y, x]`` where several thicknesses were recorded.
+        name: name of the detector, or of the quantity.
+        array: float32, ``[y, x]``, or ``[thickness, y, x]`` for several thicknesses.
         sampling_nm: edge of a pixel along ``(y, x)`` in nm.
         origin_nm: place of the first pixel ``(y, x)`` in nm.
-        units: what the values are.
+        units: quantity and unit of the values.
         thicknesses_angstrom: thickness of the specimen, one for each image.
-        counts: electrons counted, uint32 with the shape of ``array``, where a dose was given.
-        electrons_per_pixel: electrons that fell on a pixel, where a dose was given.
-        metadata: how it was made.
+        counts: counted electrons, uint32 with the shape of ``array``; ``None`` without a dose.
+        electrons_per_pixel: incident electrons on a pixel; ``None`` without a dose.
+        metadata: parameters of the simulation.
     """
 
     name: str
@@ -58,14 +58,14 @@ class Image:
 
     @property
     def extent_nm(self) -> tuple[float, float, float, float]:
-        """Left, right, lower and upper edge in nm, as ``matplotlib.pyplot.imshow`` takes them."""
+        """Left, right, lower and upper edge in nm, in the order of ``matplotlib.pyplot.imshow``."""
         rows, columns = self.array.shape[-2:]
         (dy, dx), (y, x) = self.sampling_nm, self.origin_nm
         return (x - dx / 2, x + (columns - 0.5) * dx, y + (rows - 0.5) * dy, y - dy / 2)
 
     @property
     def noisy(self) -> Image:
-        """The image that the counted electrons make: counts over the electrons of a pixel.
+        """Returns the image from the counted electrons: counts divided by the incident electrons of a pixel.
 
         Raises:
             InvalidValue: without a dose.
@@ -76,7 +76,7 @@ class Image:
         return replace(self, name=f"{self.name}_noisy", array=array)
 
     def at(self, thickness: int) -> Image:
-        """The image at one of several thicknesses, counted from 0, ``[y, x]``."""
+        """Returns the image at one of several thicknesses, ``[y, x]``. ``thickness`` is an index from 0."""
         if self.array.ndim == 2:
             if thickness not in (0, -1):
                 raise _invalid("thickness", f"thickness = {thickness}: there is one image only")
@@ -107,11 +107,11 @@ class Image:
 
     @property
     def _is_noisy(self) -> bool:
-        """Whether the array holds counts over the electrons of a pixel."""
+        """Returns whether the array contains counts divided by the incident electrons of a pixel."""
         return self.counts is not None and self.name.endswith("_noisy")
 
     def _about(self, series: bool) -> _core.HspyOptions:
-        """What a file for HyperSpy says of the microscope."""
+        """Returns the microscope's metadata for a HyperSpy file."""
         settings = self.metadata.get("settings", {})
         optics = settings.get("optics", {})
         tilt = optics.get("mistilt_mrad", (0.0, 0.0)) if optics else None
@@ -126,7 +126,8 @@ class Image:
         }
 
     def to_hspy(self, path: Path, *, overwrite: bool = False) -> None:
-        """Writes a file for HyperSpy (``.hspy``), with axes in Angstrom and the microscope in its metadata. HyperSpy is not needed."""
+        """Writes a file for HyperSpy (``.hspy``), with axes in Angstrom and the microscope in its metadata. HyperSpy need not be
+        installed."""
         _core.save_hspy(os.fspath(path), [self._stack()], self._about(False), overwrite)
 
     def to_tiff(self, path: Path, *, bits: int = 32, overwrite: bool = False) -> None:
@@ -136,14 +137,14 @@ class Image:
     def to_png(
         self, path: Path, *, scale_bar: bool = True, grey_bar: bool = False, overwrite: bool = False
     ) -> None:
-        """Writes a picture; of several thicknesses, the last.
+        """Writes a picture. For several thicknesses it shows the last one.
 
-        ``grey_bar`` draws the grey values with the numbers that black and white stand for: the percentiles 0.1 and 99.9.
+        ``grey_bar`` draws a scale of grey values, with the numbers for black and white: the percentiles 0.1 and 99.9.
         """
         _core.write_file(os.fspath(path), self._png(scale_bar, grey_bar), overwrite)
 
     def to_hyperspy(self) -> Any:
-        """The image as a ``hyperspy.signals.Signal2D``, with axes in nm. HyperSpy has to be installed."""
+        """Returns the image as a ``hyperspy.signals.Signal2D``, with axes in nm. HyperSpy has to be installed."""
         from hyperspy.signals import Signal2D
 
         signal = Signal2D(self.array.copy())
@@ -156,7 +157,7 @@ class Image:
         return signal
 
     def to_abtem(self) -> Any:
-        """The image as ``abtem.measurements.Images``, whose arrays are ``[x, y]``. abTEM has to be installed."""
+        """Returns the image as ``abtem.measurements.Images`` with an array ``[x, y]``. abTEM has to be installed."""
         from abtem.measurements import Images as AbtemImages
 
         dy, dx = self.sampling_nm
@@ -166,9 +167,9 @@ class Image:
         return AbtemImages(array, sampling=(10 * dx, 10 * dy), metadata={"label": self.name})
 
     def plot(self, ax: Any = None, **options: Any) -> Any:
-        """Draws the image with matplotlib, and returns the axes. ``options`` go to ``imshow``.
+        """Draws the image with matplotlib. Returns the axes. ``options`` are passed to ``imshow``.
 
-        y runs down, as the rows of the array do; ``origin="lower"`` draws it upwards.
+        y runs down, along the rows of the array. ``origin="lower"`` draws y upwards.
         """
         import matplotlib.pyplot as plt
 
@@ -202,7 +203,7 @@ class Image:
 
 
 class Images(Mapping[str, Image]):
-    """Images of one simulation, by name. Where there is one only, it can be used as that image."""
+    """Images of one simulation, by name. If there is one image only, the object can be used as this image."""
 
     def __init__(self, images: Mapping[str, Image], *, metadata: Mapping[str, Any]) -> None:
         self._images = dict(images)
@@ -225,10 +226,10 @@ class Images(Mapping[str, Image]):
 
     @property
     def only(self) -> Image:
-        """The image, where there is one only.
+        """The only image.
 
         Raises:
-            InvalidValue: where there are several.
+            InvalidValue: if there are several images.
         """
         if len(self) == 1:
             return next(iter(self._images.values()))
@@ -253,9 +254,9 @@ class Images(Mapping[str, Image]):
         return self.only.__array__(dtype, copy)
 
     def to_hspy(self, path: Path, *, overwrite: bool = False) -> None:
-        """Writes all images to one file for HyperSpy (``.hspy``); ``hyperspy.api.load`` returns one signal for each detector.
+        """Writes all images to one file for HyperSpy (``.hspy``). ``hyperspy.api.load`` returns one signal for each detector.
 
-        The images of a defocus series are one signal with the axis ``defocus``.
+        A defocus series is one signal with the axis ``defocus``.
         """
         images = list(self.values())
         series = len({image.metadata.get("defocus_angstrom") for image in images}) > 1
@@ -272,11 +273,11 @@ class Images(Mapping[str, Image]):
         self.only.to_png(path, scale_bar=scale_bar, grey_bar=grey_bar, overwrite=overwrite)
 
     def to_hyperspy(self) -> Any:
-        """The only image as a signal of HyperSpy."""
+        """Returns the only image as a signal of HyperSpy."""
         return self.only.to_hyperspy()
 
     def to_abtem(self) -> Any:
-        """The only image as abTEM has it."""
+        """Returns the only image as an object of abTEM."""
         return self.only.to_abtem()
 
     def plot(self, ax: Any = None, **options: Any) -> Any:
@@ -289,11 +290,11 @@ class Images(Mapping[str, Image]):
 
 @dataclass(frozen=True, eq=False)
 class PlaneWave:
-    """What a plane wave becomes in a specimen.
+    """Result of a plane-wave simulation.
 
     Attributes:
-        exit_waves: complex64, ``[configuration, y, x]``; 1 is the amplitude of the incident wave.
-        images: the image through the lens for each defocus, averaged over configurations.
+        exit_waves: complex64, ``[configuration, y, x]``, in units of the amplitude of the incident wave.
+        images: image through the lens for each defocus, averaged over configurations.
         sampling_nm: edge of a pixel along ``(y, x)`` in nm.
     """
 
@@ -309,7 +310,7 @@ class DiffractionPattern:
     Attributes:
         array: float32, ``[ky, kx]``, fractions of the incident beam in each pixel; the unscattered beam is at ``centre``.
         sampling_mrad: edge of a pixel along ``(ky, kx)`` in mrad.
-        band_limit_mrad: scattering is carried to this angle; the pattern is 0 beyond.
+        band_limit_mrad: greatest scattering angle of the grid; the pattern is 0 beyond it.
     """
 
     array: Float32Array
@@ -323,7 +324,7 @@ class DiffractionPattern:
         return rows // 2, columns // 2
 
     def annulus(self, inner_mrad: float, outer_mrad: float) -> float:
-        """The fraction of the beam between two angles; whole pixels count."""
+        """Returns the fraction of the beam between two angles. Each pixel counts entirely or not at all."""
         rows, columns = np.indices(self.array.shape)
         (row, column), (dy, dx) = self.centre, self.sampling_mrad
         angle = np.hypot((rows - row) * dy, (columns - column) * dx)

@@ -1,4 +1,4 @@
-"""Worlds of recorded images."""
+"""Makes worlds from recorded images."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ def import_image(
     threads: int | None = None,
     progress: Progress = False,
 ) -> World:
-    """Makes a world of a recorded image: DM3, DM4, Velox EMD, HyperSpy, other HDF5, TIFF, NumPy, zarr.
+    """Makes a world from a recorded image: DM3, DM4, Velox EMD, HyperSpy, other HDF5, TIFF, NumPy, zarr.
 
-    Axes that the file calls x and y decide how the image lies; it is transposed where the file holds it as ``[x, y]``. ``summary`` of the
-    world says what was found (``notes``: what was done to it), as ``stemgen import --json`` does.
+    If the file names its axes x and y, they determine the orientation; an image ``[x, y]`` is transposed. ``summary`` of the world contains
+    the properties of the image, and in ``notes`` its changes, as ``stemgen import --json`` prints them.
 
     Args:
         path: the file.
         out: the world.
-        dataset: which image of a file that holds several: its name, or the path of a data set.
-        index: which frame of an image that has several, from 0.
-        pixel_nm: edge of a pixel, in place of the file's.
-        spacing_nm: a distance of planes of the crystal, by which the pixel is measured in the Fourier transform; it shows within 15 % of
-            where the file, or ``pixel_nm``, has it.
+        dataset: the image to read from a file with several: its name, or the path of a data set.
+        index: number of the frame, from 0, of an image with several frames.
+        pixel_nm: edge of a pixel, instead of the file's value.
+        spacing_nm: spacing of planes of the crystal, from which the pixel size is measured in the Fourier transform. The result has to be
+            within 15 % of the pixel size of the file, or of ``pixel_nm``.
         contrast: percentiles of the recorded values that become 0 and 1.
-        check: first reads the file through in a process of its own, as :class:`World` does.
+        check: read the file first in a separate process, see :class:`World`.
 
     Raises:
-        FormatError: for a file that is damaged, or holds no such image.
-        InvalidValue: where the size of a pixel is not known, several images are there and none is chosen, or the image is
-            smaller than a tile.
+        FormatError: for a file that is damaged, or contains no image.
+        InvalidValue: if the pixel size is unknown, if the file contains several images and none is chosen, or if the image is smaller than
+            a tile.
     """
     if check:
         check_file(os.fspath(path))

@@ -1,4 +1,4 @@
-"""Live worlds: specimens in memory that are looked at, recorded, and changed by the electrons that record them."""
+"""Live worlds: specimens in memory that lose atoms where electrons record them."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Region = tuple[float, float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class LiveView:
-    """What a look shows. Places are in nm in the field.
+    """The noise-free image and the truth of a region. Places are in nm in the field.
 
     Attributes:
         image: the noise-free image, in fractions of the beam.
-        columns: columns in it, :data:`COLUMN_DTYPE`.
-        sites: their sites, :data:`SITE_DTYPE`.
+        columns: columns in the region, :data:`COLUMN_DTYPE`.
+        sites: sites of these columns, :data:`SITE_DTYPE`.
     """
 
     image: Image
@@ -38,22 +38,23 @@ class LiveView:
 
 
 class LiveWorld:
-    """A world in memory, which recordings change as the table ``[damage]`` of its recipe says.
+    """A world in memory. Recordings change it as the table ``[damage]`` of its recipe specifies.
 
-    The same recipe, seed and recordings give the same values, whatever the number of threads. The first world of a recipe fills
-    the library of its mosaic; it is kept for all others. The more atoms ``most_dose`` may take away, the more images the library needs: those that
-    come along serve SrTiO3 easy to 1e5 electrons per square Angstrom at once, and for the default of 1e6 a quarter of them is simulated, minutes on
-    two free processors. ``progress=True`` shows how far it is. docs/live.md tells more.
+    Recipe, seed and recordings determine all values. The number of threads has no effect. The first world of a recipe computes the library
+    of its mosaic, which is cached for later worlds. The more atoms ``most_dose`` can remove, the more images the library needs. The
+    supplied library contains all images for SrTiO3 easy up to 1e5 electrons per square Angstrom. For the default of 1e6, a quarter of the
+    images has to be simulated, which takes minutes on two free processors. ``progress=True`` shows the progress. docs/live.md explains the
+    model.
 
-    Threads may share a world: one call at a time works on it. A process that is forked while another thread uses the world has a copy that
-    refuses all calls.
+    Threads may share a world; its calls run one after the other. If a process is forked while another thread uses the world, the copy in
+    the child refuses all calls.
 
     Args:
-        recipe: name, path, TOML, dict or :class:`Recipe`; ``**changes`` are ``difficulty``, ``set``, ``unset``, ``grid``, ``seed``.
-        most_dose: the greatest dose that any place may get, in electrons per square Angstrom, all recordings together.
+        recipe: name, path, TOML, dict or :class:`Recipe`. ``**changes`` are ``difficulty``, ``set``, ``unset``, ``grid``, ``seed``.
+        most_dose: greatest total dose of a place, over all recordings, in electrons per square Angstrom.
 
     Raises:
-        InvalidValue: for a recipe or dose out of limits.
+        InvalidValue: for an invalid recipe, or a dose out of limits.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class LiveWorld:
         return Recipe(self._used.by(self._field.recipe)())
 
     def look(self, region_nm: Region) -> LiveView:
-        """The noise-free image of a region (left, upper, right and lower edge) and what is there. It costs no electron."""
+        """Returns the noise-free image and the truth of a region (left, upper, right and lower edge). It does not change the specimen."""
         found = self._used.by(call)(self._field.look, region_nm, running(self._threads, False))
         pixel, (x, y) = found["pixel_nm"], found["origin_nm"]
         image = Image("live", found["clean"], (pixel, pixel), (y, x))
@@ -101,10 +102,10 @@ class LiveWorld:
         keep_frames: bool = False,
         progress: Progress = False,
     ) -> Recording:
-        """Records a place, as :func:`stemworlds.acquire` does. Its electrons change the specimen when the recording has ended.
+        """Records a place, see :func:`stemworlds.acquire`. At the end of the recording, its electrons change the specimen.
 
         Raises:
-            InvalidValue: for a place that the beam leaves, and a dose beyond ``most_dose``. The world is then as it was.
+            InvalidValue: if the beam would leave the field, or the dose would exceed ``most_dose``. The world is then unchanged.
         """
         request = recording_request(
             region_nm=region_nm,
@@ -122,31 +123,31 @@ class LiveWorld:
         return _recording(recorded, keep_frames)
 
     def columns(self, region_nm: Region) -> StructuredArray:
-        """Columns in a region as they are now, :data:`COLUMN_DTYPE`."""
+        """Returns the present columns in a region, :data:`COLUMN_DTYPE`."""
         return _columns(self._used.by(call)(self._field.truth, region_nm))
 
     def sites(self, region_nm: Region) -> StructuredArray:
-        """Sites of these columns, vacant ones too, :data:`SITE_DTYPE`."""
+        """Returns the sites of the columns in a region, with vacant sites, :data:`SITE_DTYPE`."""
         return _sites(self._used.by(call)(self._field.truth, region_nm))
 
     def dose(self, region_nm: Region) -> float:
-        """Mean dose that a region has had, in electrons per square Angstrom."""
+        """Returns the mean dose of a region so far, in electrons per square Angstrom."""
         return self._used.by(call)(self._field.dose, region_nm)
 
     @property
     def history(self) -> tuple[Mapping[str, Any], ...]:
-        """All recordings: place, dose, current, electrons, time, and the atoms that each took away (``lost``)."""
+        """Lists all recordings: place, dose, current, electrons, time, and the number of removed atoms (``lost``)."""
         return tuple(json.loads(self._used.by(self._field.history)()))
 
     def snapshot(self) -> str:
-        """This moment, as text (JSON), for :meth:`restore`."""
+        """Returns the present state as text (JSON), for :meth:`restore`."""
         return self._used.by(self._field.snapshot)()
 
     def restore(self, snapshot: str) -> None:
-        """Goes to a moment of a world of the same recipe and seed.
+        """Restores a state of a world with the same recipe and seed.
 
         Raises:
-            InvalidValue: for a snapshot of another world, or a text that is none.
+            InvalidValue: for a snapshot of another world, or a text that is no snapshot.
         """
         self._used.by(call)(self._field.restore, snapshot)
 

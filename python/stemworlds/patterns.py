@@ -1,4 +1,4 @@
-"""Diffraction patterns of every probe of a scan (4D-STEM)."""
+"""Simulates and reads the diffraction patterns of every probe of a scan (4D-STEM)."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from .errors import _invalid
 from .images import Float32Array, Image, Path
 from .simulation import SimulationOptions, _request, _run
 
-#: Rows of a file are read together up to about so many bytes.
+#: Greatest number of bytes, about, of the rows that are read from a file at once.
 _TOGETHER_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
 class Axes4D:
-    """Where the patterns of a scan stand, and what their pixels are.
+    """Axes and parameters of the patterns of a scan.
 
     Attributes:
-        shape: probes along ``(y, x)``, and pixels along ``(ky, kx)``.
-        step_angstrom: distance of probes along ``(y, x)``.
+        shape: number of probes along ``(y, x)``, and of pixels along ``(ky, kx)``.
+        step_angstrom: distance of neighbouring probes along ``(y, x)``.
         origin_angstrom: place of the first probe ``(y, x)``.
-        max_angle_mrad: half the width of the detector. Pixel ``n // 2`` of each axis has its middle on the optical axis. Of rings: the
-            outer angle of the last.
-        thickness_angstrom, defocus_angstrom, energy_kv, semiangle_mrad: of specimen and probe; underfocus is positive.
-        wavelength_angstrom: of the electrons.
-        electrons_per_pattern: electrons that fell on the specimen for each pattern, where they were counted.
-        ring_mrad: width of the rings, where patterns are sums over rings; their shape is then ``(y, x, 1, ring)``.
+        max_angle_mrad: half of the width of the detector, or the outer angle of the last ring. The centre of pixel ``n // 2`` of each axis
+            is on the optical axis.
+        thickness_angstrom, defocus_angstrom, energy_kv, semiangle_mrad: parameters of specimen and probe. Underfocus is positive.
+        wavelength_angstrom: wavelength of the electrons.
+        electrons_per_pattern: incident electrons of each pattern; ``None`` if no electrons were counted.
+        ring_mrad: width of the rings, if patterns are sums over rings. Their shape is then ``(y, x, 1, ring)``. ``None`` for pixels.
     """
 
     shape: tuple[int, int, int, int]
@@ -64,7 +64,7 @@ class Axes4D:
 
     @property
     def angles_mrad(self) -> npt.NDArray[np.float64]:
-        """Angles of the middles of the pixels along an axis, or of the rings."""
+        """Angles of the centres of the pixels along an axis, or of the rings."""
         if self.ring_mrad is not None:
             return (np.arange(self.shape[3], dtype=np.float64) + 0.5) * np.float64(self.ring_mrad)
         return (np.arange(self.shape[2], dtype=np.float64) - self.shape[2] // 2) * np.float64(self.pixel_mrad)
@@ -74,8 +74,8 @@ class DataCube:
     """The diffraction patterns of a scan: in memory, or in a file that is read row by row.
 
     Attributes:
-        axes: where the patterns stand, and what their pixels are.
-        vacuum: the pattern of the beam without a specimen, ``[ky, kx]``; ``None`` where the file has none.
+        axes: axes and parameters of the patterns.
+        vacuum: the pattern of the beam without a specimen, ``[ky, kx]``; ``None`` if the file contains none.
     """
 
     def __init__(
@@ -89,23 +89,23 @@ class DataCube:
 
     @classmethod
     def open(cls, path: Path) -> DataCube:
-        """Opens a file (``.emd``) of ``stemgen patterns`` or :func:`simulate_patterns`; patterns are read when they are asked for.
+        """Opens a file (``.emd``) from ``stemgen patterns`` or :func:`simulate_patterns`. Patterns are read at their first use.
 
         Raises:
-            FileError, FormatError: for a file that cannot be read, or is none of these.
+            FileError, FormatError: for a file that cannot be read, or was not written by stemgen.
         """
         header = call(_core.PatternReader, os.fspath(path)).header()
         return cls(_axes(header), None, header["vacuum"], path)
 
     @property
     def data(self) -> npt.NDArray[Any]:
-        """All patterns, ``[y, x, ky, kx]``: float32 fractions of the beam, or electrons. Those of a file are read at once."""
+        """All patterns, ``[y, x, ky, kx]``: float32 fractions of the beam, or electrons. For a file, all patterns are read into memory."""
         if self._data is None:
             self._data = np.concatenate([rows for _, rows in self._rows()])
         return self._data
 
     def __getitem__(self, at: tuple[int, int]) -> npt.NDArray[Any]:
-        """The pattern of the probe ``[y, x]``, ``[ky, kx]``."""
+        """Returns the pattern of the probe ``[y, x]``, ``[ky, kx]``."""
         y, x = at
         rows, columns = self.axes.shape[:2]
         if not (-rows <= y < rows and -columns <= x < columns):
@@ -133,7 +133,7 @@ class DataCube:
         return {**self.__dict__, "_reader": None}
 
     def _rows(self) -> Iterator[tuple[int, npt.NDArray[Any]]]:
-        """The patterns, some rows at a time, with the number of the first."""
+        """Yields the patterns, some rows at a time, with the number of the first row."""
         if self._data is not None:
             yield 0, self._data
             return
@@ -162,16 +162,16 @@ class DataCube:
         sector_degrees: tuple[float, float] | None = None,
         centre_mrad: tuple[float, float] = (0.0, 0.0),
     ) -> Float32Array:
-        """The share of each pixel's area on a ring or on a sector of it, ``[ky, kx]``.
+        """Returns the share of each pixel's area on a ring, or on a sector of it, ``[ky, kx]``.
 
         Args:
-            inner_mrad, outer_mrad: angles of the ring.
-            sector_degrees: from and to which azimuth it reaches, from +x towards +y, which runs down.
-            centre_mrad: where its middle is, ``(x, y)``.
+            inner_mrad, outer_mrad: inner and outer angle of the ring.
+            sector_degrees: first and last azimuth of the sector, counted from +x towards +y, which runs down.
+            centre_mrad: centre of the ring, ``(x, y)``.
 
         Raises:
-            InvalidValue: for a ring that reaches beyond the patterns, or lies between their pixels; of patterns that are sums over
-                rings, for one that begins or ends inside a ring, and for sectors.
+            InvalidValue: for a ring that extends beyond the patterns, or lies between their pixels. For sums over rings: for a detector
+                that begins or ends inside a ring, and for sectors.
         """
         annulus, a = (float(inner_mrad), float(outer_mrad)), self.axes
         detector = (a.shape[2], a.max_angle_mrad, a.ring_mrad)
@@ -187,15 +187,15 @@ class DataCube:
         centre_mrad: tuple[float, float] = (0.0, 0.0),
         name: str = "virtual",
     ) -> Image:
-        """The image that a detector makes of the patterns.
+        """Returns the image of a virtual detector.
 
         Args:
-            inner_mrad, outer_mrad, sector_degrees, centre_mrad: as :meth:`detector` takes them.
-            mask: weights of the pixels ``[ky, kx]``, in place of a ring.
-            name: of the image.
+            inner_mrad, outer_mrad, sector_degrees, centre_mrad: see :meth:`detector`.
+            mask: weights of the pixels ``[ky, kx]``, instead of a ring.
+            name: name of the image.
 
         Raises:
-            InvalidValue: as :meth:`detector`; for a mask of another shape, and for neither ring nor mask.
+            InvalidValue: see :meth:`detector`; for a mask of a wrong shape; and if neither ring nor mask is given.
         """
         if mask is not None:
             weights = np.asarray(mask, dtype=np.float32)
@@ -210,10 +210,11 @@ class DataCube:
         return self._image(name, np.concatenate(parts), units)
 
     def centre_of_mass(self) -> tuple[Image, Image]:
-        """The centre of mass of every pattern, ``(y, x)`` in mrad: the mean angle of its electrons, 0 where there are none.
+        """Returns the centre of mass of every pattern, ``(y, x)`` in mrad: the mean angle of its electrons, 0 for a pattern without
+        electrons.
 
         Raises:
-            InvalidValue: for sums over rings, which have none.
+            InvalidValue: for sums over rings, which have no centre of mass.
         """
         self._needs_pixels("have no centre of mass")
         angles = self.axes.angles_mrad
@@ -227,7 +228,7 @@ class DataCube:
         return self._image("com_y", y, "mrad"), self._image("com_x", x, "mrad")
 
     def integrated_centre_of_mass(self) -> Image:
-        """The integrated centre of mass (iCOM) in radians: for thin specimens the phase. The scan is taken as periodic.
+        """Returns the integrated centre of mass (iCOM) in radians, which is the phase for thin specimens. The scan is treated as periodic.
 
         I. Lazic, E. Bosch and S. Lazar, Ultramicroscopy 160 (2016) 265.
         """
@@ -241,7 +242,7 @@ class DataCube:
             raise _invalid("radial_mrad", f"sums over rings {why}; simulate pixels")
 
     def mean_pattern(self) -> npt.NDArray[np.float64]:
-        """The mean of all patterns (position-averaged CBED), ``[ky, kx]``."""
+        """Returns the mean of all patterns (position-averaged CBED), ``[ky, kx]``."""
         rows, columns = self.axes.shape[:2]
         total = sum(part.sum(axis=(0, 1), dtype=np.float64) for _, part in self._rows())
         return np.asarray(total) / (rows * columns)
@@ -288,7 +289,7 @@ class DataCube:
         return path
 
     def to_hyperspy(self) -> Any:
-        """The patterns as a ``hyperspy.signals.Signal2D`` over the scan. HyperSpy has to be installed."""
+        """Returns the patterns as a ``hyperspy.signals.Signal2D`` over the scan. HyperSpy has to be installed."""
         self._needs_pixels("make no images")
         from hyperspy.signals import Signal2D
 
@@ -305,7 +306,7 @@ class DataCube:
         return signal
 
     def to_py4dstem(self) -> Any:
-        """The patterns as a calibrated ``py4DSTEM.DataCube``. py4DSTEM has to be installed."""
+        """Returns the patterns as a calibrated ``py4DSTEM.DataCube``. py4DSTEM has to be installed."""
         self._needs_pixels("make no images")
         from py4DSTEM import DataCube as Py4dstemCube
 
@@ -332,26 +333,26 @@ def simulate_patterns(
     """Simulates the diffraction pattern of every probe of a scan (4D-STEM).
 
     Args:
-        atoms: as :func:`simulate` takes them.
-        pixels: pixels along each edge of the detector. Default 64.
-        max_angle_mrad: half its width, or the outer angle of the last ring. Default 100.
-        radial_mrad: sum over rings of this width in place of pixels: :meth:`DataCube.virtual_image` makes any annulus of whole rings
-            of them.
-        mtf: how the detector spreads the electrons of a pixel over its neighbours: the standard deviation of a Gaussian in pixels, or a
-            table of its modulation transfer function, rows of (cycles per pixel, transfer) from (0, 1) on. Default: not at all.
-        coherent_tail: add what windows cut off the probe. Default true.
-        out: a file (``.emd``) to write the patterns to, row by row, in place of memory. py4DSTEM, LiberTEM and HyperSpy open it.
+        atoms: see :func:`simulate`.
+        pixels: number of pixels along each edge of the detector. Default 64.
+        max_angle_mrad: half of the detector's width, or the outer angle of the last ring. Default 100.
+        radial_mrad: width of rings. If it is given, each pattern is summed over rings, and :meth:`DataCube.virtual_image` makes images of
+            any annulus of whole rings.
+        mtf: spread of electrons over neighbouring pixels: the standard deviation of a Gaussian in pixels, or a table of the modulation
+            transfer function, rows of (cycles per pixel, transfer) from (0, 1) on. Default: no spread.
+        coherent_tail: add the part of the probe outside of its window. Default true.
+        out: a file (``.emd``) to which the patterns are written row by row, instead of memory. py4DSTEM, LiberTEM and HyperSpy open it.
         overwrite: replace an existing file.
         **options: see :class:`SimulationOptions`. ``detectors``, ``source_lorentz`` and ``accuracy_percent`` are for images.
-            Without an engine, probes are propagated in windows that hold the beam throughout the specimen.
+            Without an engine, probes are propagated in windows that contain the beam throughout the specimen.
 
     Returns:
-        The patterns: fractions of the beam, or with ``dose`` (electrons per square Angstrom) electrons, uint32.
+        The patterns: fractions of the beam, float32, or with ``dose`` (electrons per square Angstrom) counted electrons, uint32.
 
     Raises:
-        InvalidValue: for an option out of its limits, and for several thicknesses or values of the defocus
-            (:func:`simulate_pattern_series` takes those).
-        FormatError, FileError, NotEnoughMemory, KeyboardInterrupt: as :func:`simulate`.
+        InvalidValue: for an option out of its limits, and for several thicknesses or defocus values, which :func:`simulate_pattern_series`
+            accepts.
+        FormatError, FileError, NotEnoughMemory, KeyboardInterrupt: see :func:`simulate`.
     """
     for keyword in ("thicknesses_angstrom", "defocus_angstrom"):
         value = options.get(keyword)
@@ -374,9 +375,9 @@ def simulate_pattern_series(
     overwrite: bool = False,
     **options: Unpack[SimulationOptions],
 ) -> tuple[DataCube, ...]:
-    """As :func:`simulate_patterns`, for several thicknesses and values of the defocus: by defocus, then by thickness.
+    """Simulates the patterns for several thicknesses and defocus values, see :func:`simulate_patterns`.
 
-    Files are named after each: ``NAME_defocus_50A_39.0A.emd``.
+    The results are sorted by defocus, then by thickness. Files have both in their names: ``NAME_defocus_50A_39.0A.emd``.
     """
     detector = _detector(pixels, max_angle_mrad, radial_mrad, mtf, coherent_tail)
     return _simulate(atoms, detector, (out, overwrite), options)
@@ -389,7 +390,7 @@ def _detector(
     mtf: float | npt.ArrayLike | None,
     coherent_tail: bool | None,
 ) -> _core.PatternsRequest:
-    """The table of the request with what is given."""
+    """Returns the detector's table of the request, with the given options."""
     if pixels is not None and radial_mrad is not None:
         raise _invalid("radial_mrad", "rings take the place of pixels: leave one of the two out")
     asked: dict[str, Any] = {"pixels": pixels, "max_angle_mrad": max_angle_mrad, "radial_mrad": radial_mrad}
@@ -398,7 +399,7 @@ def _detector(
 
 
 def _transfer(mtf: float | npt.ArrayLike) -> Any:
-    """A number, or the rows of a table."""
+    """Converts ``mtf`` to a number, or to the rows of a table."""
     try:
         array = np.asarray(mtf, dtype=np.float64)
     except (TypeError, ValueError):

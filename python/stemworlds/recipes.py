@@ -1,4 +1,4 @@
-"""Recipes: what a world is made of."""
+"""Reads and changes recipes, which describe the specimen and the microscope of a world."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from .errors import _invalid
 Difficulty = Literal["easy", "medium", "hard"]
 Acquisition = Literal["ideal", "routine", "poor"]
 
-#: Endings of files of atoms, for which there is a recipe of their own.
+#: Endings of files of atoms, from which a recipe can be made.
 _ATOMS = (".xyz", ".extxyz", ".cif", ".vasp", ".poscar", ".contcar")
 
 
 class Recipe(Mapping[str, Any]):
-    """What a world is made of: resolved, and checked as the command line checks it.
+    """The description of a specimen and its microscope, resolved and checked.
 
-    It reads as a dict, also with dotted keys: ``recipe["vacancies.rate"]``. It cannot be changed; :meth:`set` and :meth:`unset`
-    return another one.
+    It reads as a dict, also with dotted keys: ``recipe["vacancies.rate"]``. It is immutable; :meth:`set` and :meth:`unset` return changed
+    copies.
 
     Args:
-        source: name of a recipe that comes with the package (:func:`recipes`), path of a TOML file or of a file of atoms
+        source: name of a shipped recipe (:func:`recipes`), path of a TOML file or of a file of atoms
             (``.xyz``, ``.extxyz``, ``.cif``, ``.vasp``, ``.poscar``), TOML text, a dict, or another recipe.
-        difficulty: the tier, where the recipe has some.
-        set: values to change, ``{"vacancies.rate": 0.02}``; ``None`` takes a key out.
-        unset: keys or tables to take out.
-        grid: only the central tiles, ``(rows, columns)``.
-        seed: of all random numbers.
-        acquisition: record the field with the errors of a microscope: ``"ideal"``, ``"routine"``, ``"poor"``.
+        difficulty: the tier, if the recipe has tiers.
+        set: values to change, ``{"vacancies.rate": 0.02}``; ``None`` removes a key.
+        unset: keys or tables to remove.
+        grid: build the central tiles only, ``(rows, columns)``.
+        seed: seed of all random numbers.
+        acquisition: profile of a microscope whose errors the recording has: ``"ideal"``, ``"routine"``, ``"poor"``.
 
     Raises:
-        InvalidValue: for a value out of its limits, an unknown key (naming the nearest), a missing tier.
-        FormatError, FileError: for the file of a recipe.
+        InvalidValue: for a value out of its limits, an unknown key (the message names the most similar one), or a missing tier.
+        FormatError, FileError: if the file of the recipe cannot be read.
     """
 
     def __init__(
@@ -64,25 +64,25 @@ class Recipe(Mapping[str, Any]):
             "seed": seed,
             "acquisition": acquisition,
         }
-        #: The resolved recipe as TOML; it reads back.
+        #: The resolved recipe as TOML, from which an equal recipe can be read.
         self.toml: str = call(_core.resolve_recipe, _source(source, difficulty), made)
         self._values: dict[str, Any] = tomllib.loads(self.toml)
         self._facts: dict[str, Any] = json.loads(_core.describe_recipe(self.toml))
 
     def set(self, changes: Mapping[str, Any] | str, value: Any = None) -> Recipe:
-        """Another recipe with some values changed: ``set("vacancies.rate", 0.02)`` or ``set({"vacancies.rate": 0.02, ...})``."""
+        """Returns a copy with changed values: ``set("vacancies.rate", 0.02)`` or ``set({"vacancies.rate": 0.02, ...})``."""
         return Recipe(self, set={changes: value} if isinstance(changes, str) else changes)
 
     def unset(self, *keys: str) -> Recipe:
-        """Another recipe without some keys or tables."""
+        """Returns a copy without some keys or tables."""
         return Recipe(self, unset=keys)
 
     def with_grid(self, rows: int, columns: int) -> Recipe:
-        """Another recipe with only the central tiles."""
+        """Returns a copy that builds the central tiles only."""
         return Recipe(self, grid=(rows, columns))
 
     def with_seed(self, seed: int) -> Recipe:
-        """Another recipe with another seed of all random numbers."""
+        """Returns a copy with another seed of all random numbers."""
         return Recipe(self, seed=seed)
 
     def __getitem__(self, key: str) -> Any:
@@ -110,12 +110,12 @@ class Recipe(Mapping[str, Any]):
 
     @property
     def id(self) -> str:
-        """Identifies the material."""
+        """The identifier of the material."""
         return str(self._facts["id"])
 
     @property
     def tier(self) -> str | None:
-        """The tier, where the recipe has some."""
+        """The tier; ``None`` for a recipe without tiers."""
         tier: str | None = self._facts["tier"]
         return tier
 
@@ -165,12 +165,12 @@ class Recipe(Mapping[str, Any]):
         return f"<details><summary>{html.escape(repr(self))}</summary><pre>{html.escape(self.toml)}</pre></details>"
 
 
-#: What is taken for a recipe: see :class:`Recipe`.
+#: The sources of a recipe, see :class:`Recipe`.
 RecipeLike = Recipe | Mapping[str, Any] | str | os.PathLike[str]
 
 
 def recipes() -> dict[str, tuple[str, ...]]:
-    """The recipes that come with the package, and the tiers of each."""
+    """Returns the names of the shipped recipes, and the tiers of each."""
     return {name: tuple(tiers) for name, tiers in _core.recipes()}
 
 
@@ -213,7 +213,7 @@ def _key(key: str) -> str:
 
 
 def _toml(key: str, value: Any) -> str:
-    """A value as TOML on one line."""
+    """Writes a value as TOML on one line."""
     if isinstance(value, (np.generic, np.ndarray)):
         value = value.tolist()
     if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""Recordings: a place of a world or of a recipe, with the errors of a real microscope."""
+"""Simulates recordings of a world or a recipe, with the errors of a real microscope."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class Recording:
     """A recording, and the truth about it.
 
     Attributes:
-        array: what the file of a microscope would hold, float64 ``[y, x]``; ``[frame, y, x]`` where frames are kept.
-        ideal: the noise-free image at the pixels that were meant, in fractions of the beam.
-        columns: atomic columns; ``x_nm``, ``y_nm`` from the centre of the first pixel, ``x_px``, ``y_px`` where each appears.
-        position_in_image: where columns appear, ``[frame, column, (x, y)]`` in pixels, or the mean of all frames.
-        drift: of each line of each frame: time in s, and drift ``(x, y)`` in nm.
-        moved, electrons: what lies between the noise-free image and the recording, ``[frame, y, x]``, where it was asked for.
+        array: the values of a microscope's file, float64 ``[y, x]``, or ``[frame, y, x]`` with ``keep_frames``.
+        ideal: the noise-free image at the intended pixels, in fractions of the beam.
+        columns: atomic columns; ``x_nm``, ``y_nm`` from the centre of the first pixel, ``x_px``, ``y_px`` their places in the recording.
+        position_in_image: places of the columns in the recording, ``[frame, column, (x, y)]`` in pixels, or the mean of all frames.
+        drift: time in s and drift ``(x, y)`` in nm of each line of each frame.
+        moved, electrons: intermediate images between noise-free image and recording, ``[frame, y, x]``; ``None`` without ``stages``.
     """
 
     array: npt.NDArray[np.float64]
@@ -48,7 +48,7 @@ class Recording:
 
     @property
     def image(self) -> Image:
-        """The recording as an image (the sum of all frames), in counts."""
+        """Returns the recording as an image (the sum of all frames), in counts."""
         array = self.array if self.array.ndim == 2 else self.array.sum(axis=0)
         return Image("recording", array.astype(np.float32), (self.pixel_nm,) * 2, self.ideal.origin_nm, units="counts")
 
@@ -83,24 +83,24 @@ def acquire(
     progress: Progress = False,
     **recipe: Any,
 ) -> Recording:
-    """Records a place as a microscope does: drift, jitter, hum, dose and detector.
+    """Simulates a recording with drift, jitter, hum, dose and detector.
 
     Args:
-        field: a :class:`World`, the path of one, or a recipe (no world is needed then).
-        profile: set of values for the microscope; by default those of the recipe, or ``"ideal"``.
-        acquisition: single values, ``{"drift_nm_per_s": (0.5, 0)}``; docs/acquisition.md explains them.
-        region_nm: part to record, left, upper, right and lower edge.
-        at_nm: its middle in place of ``region_nm``, with as many pixels as a tile.
-        zoom: how many times finer the pixels are than those of the world.
-        pixel_nm: edge of a pixel, in place of ``zoom``.
+        field: a :class:`World`, its path, or a recipe. A recipe needs no world file.
+        profile: named set of values for the microscope; by default the values of the recipe, or ``"ideal"``.
+        acquisition: single values, for example ``{"drift_nm_per_s": (0.5, 0)}``; docs/acquisition.md explains them.
+        region_nm: region to record, left, upper, right and lower edge.
+        at_nm: centre of the region, instead of ``region_nm``. The recording then has as many pixels as a tile.
+        zoom: ratio of the world's pixel edge to the recording's pixel edge.
+        pixel_nm: edge of a pixel, instead of ``zoom``.
         dose: electrons per square Angstrom, all frames together.
-        current_pa: the current of the beam, in place of ``dose``.
+        current_pa: current of the beam, instead of ``dose``.
         dwell_us: time on each pixel.
         frames: number of frames.
-        keep_frames: keep them one by one.
-        stages: keep what lies between the noise-free image and the recording.
-        scan_seed: of electrons, noise, jitter and random drift.
-        out: file (HDF5) to write too.
+        keep_frames: return the single frames instead of their sum.
+        stages: return the intermediate images as well.
+        scan_seed: seed of electrons, noise, jitter and random drift.
+        out: file (HDF5) that is written as well.
         **recipe: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed`` of a recipe.
     """
     if frames is not None and frames < 1:
@@ -130,7 +130,7 @@ def acquire(
 
 
 def recording_request(**given: Any) -> _core.RecordingRequest:
-    """What was given, as the library's request has it; the library has the defaults."""
+    """Returns the given options as a request of the library, which contains the defaults."""
     return cast("_core.RecordingRequest", {key: value for key, value in given.items() if value is not None})
 
 

@@ -1,4 +1,4 @@
-"""Images, exit waves and diffraction patterns of atoms."""
+"""Simulates images, exit waves and diffraction patterns of atoms."""
 
 from __future__ import annotations
 
@@ -30,12 +30,11 @@ class Scan:
 
     Attributes:
         start: first probe ``(x, y)``.
-        end: end of the scan ``(x, y)``, itself not scanned; the edges of the box when ``None``.
-        unit: of ``start`` and ``end``: ``"cell"`` (fractions of the box, after ``zone`` and ``repeat``), ``"nm"`` or
-            ``"angstrom"``.
-        step_angstrom: distance of probes, made a little smaller so that it divides the scan; by default the Nyquist limit of the
-            image, wavelength / (4 semiangle).
-        points: number of probes along ``(x, y)``, in place of ``step_angstrom``.
+        end: end of the scan ``(x, y)``, excluded; ``None`` for the edges of the box.
+        unit: unit of ``start`` and ``end``: ``"cell"`` (fractions of the box, after ``zone`` and ``repeat``), ``"nm"`` or ``"angstrom"``.
+        step_angstrom: distance of probes, reduced so that it divides the scan; by default the Nyquist limit of the image, wavelength / (4
+            semiangle).
+        points: number of probes along ``(x, y)``, instead of ``step_angstrom``.
     """
 
     start: tuple[float, float] = (0.0, 0.0)
@@ -59,54 +58,54 @@ class SimulationOptions(TypedDict, total=False):
     """Options of :func:`simulate`, :func:`plan_simulation`, :func:`plane_wave` and :func:`diffraction`.
 
     Specimen:
-        zone: lattice direction along the beam; builds an orthogonal box. Four indices are those of a hexagonal lattice.
+        zone: lattice direction along the beam. The simulation then uses an orthogonal box. Four indices are for hexagonal lattices.
         up: lattice direction along +y, perpendicular to the zone.
-        max_strain_percent: make a box of a cell whose angles are nearly right, with at most so much strain; a warning and
-            ``metadata["strain_percent"]`` tell how much it took.
-        repeat: how often the cell (after ``zone``) is repeated along x, y and the beam.
-        phonons: number of frozen-phonon configurations to average; needs ``sigma``. Default: atoms exactly as given.
-        sigma: standard deviation of each Cartesian component of the thermal displacement in A: one for all, one for each element, or
-            ``"from-file"``, the U or B of a CIF, or ``"table"``, that of each element in a crystal of its own (Peng et al. 1996).
-        temperature_k: temperature of ``sigma="table"``, 200 to 400; 293 by default.
+        max_strain_percent: greatest strain that makes an orthogonal box from a cell with angles near 90 degrees. A warning and
+            ``metadata["strain_percent"]`` report the applied strain.
+        repeat: number of repetitions of the cell (after ``zone``) along x, y and the beam.
+        phonons: number of frozen-phonon configurations to average; needs ``sigma``. Default: no displacements.
+        sigma: standard deviation of each Cartesian component of the thermal displacement in A: one value for all atoms; one for each
+            element; ``"from-file"``, from U or B of a CIF; or ``"table"``, the values of elemental crystals (Peng et al. 1996).
+        temperature_k: temperature of ``sigma="table"`` in K, 200 to 400; 293 by default.
         frames: frames of a trajectory (extended XYZ, XDATCAR) to average, ``range(10, 200, 5)``.
-        seed: of thermal displacements, mixed sites and counted electrons. Default 1.
+        seed: seed of thermal displacements, mixed sites and counted electrons. Default 1.
 
     Microscope:
         energy_kv: accelerating voltage in kV. Default 200.
         semiangle_mrad: convergence semiangle; the objective aperture of a plane wave. Default 21.
-        defocus_angstrom: from the entrance surface, positive is underfocus. Several make a series. Default 0.
-        aberrations: coefficients in A, ``{"C30": 1e5, "C12": (30, 0.3)}``, with the azimuth in rad as the second.
+        defocus_angstrom: defocus relative to the entrance surface; underfocus is positive. Several values give a series. Default 0.
+        aberrations: coefficients in A, ``{"C30": 1e5, "C12": (30, 0.3)}``. The second number of a pair is the azimuth in rad.
         tilt_mrad: mistilt of the specimen ``(x, y)``, up to 20 mrad.
         focal_spread_angstrom: standard deviation of the focus.
-        source_size_angstrom: full width of the electron source at half maximum; a point by default.
-        source_lorentz: share of the source in long tails, 0 to 1.
+        source_size_angstrom: full width at half maximum of the electron source; by default a point source.
+        source_lorentz: share of the source's intensity in a Lorentzian with long tails, 0 to 1.
         detectors: inner and outer angle in mrad by name. Default ``{"HAADF": (68, 200)}``.
-        allow_empty_angles: go on when a detector reaches beyond what the grid carries.
+        allow_empty_angles: continue if a detector extends beyond the band limit of the grid.
 
     Results:
         scan: probe positions; the whole box by default.
-        thicknesses_angstrom: thicknesses at which images are recorded, moved to slice boundaries; the whole by default.
-        dose: electrons per square Angstrom; electrons are then counted.
+        thicknesses_angstrom: thicknesses at which images are recorded, rounded to slice boundaries; by default the whole thickness.
+        dose: electrons per square Angstrom. With a dose, electrons are counted.
 
     Numerics:
-        engine: ``"multislice"`` (exact), ``"prism"`` (exact with interpolation 1), ``"window"``; by default the fastest way that keeps
-            ``accuracy_percent``, in a specimen without end (``probe_box="large"``).
-        accuracy_percent: takes the narrowest window whose error (rms, per cent of the mean image) is at most this, or the exact engine.
-            0.5 where neither an engine nor this is given.
-        interpolation: of PRISM, one number or one for x and y.
+        engine: ``"multislice"`` (exact), ``"prism"`` (exact with interpolation 1), ``"window"``; by default the fastest engine with the
+            accuracy ``accuracy_percent``, for a laterally infinite specimen (``probe_box="large"``).
+        accuracy_percent: use the narrowest window whose rms error, in per cent of the mean image, is at most this, or the exact engine. 0.5
+            if neither this nor an engine is given.
+        interpolation: interpolation of PRISM, one number, or one for x and one for y.
         window_angstrom: width of the window that follows each probe. Default 11.7.
-        sampling_angstrom, gpts: pixel of the grid at most, or grid points along ``(x, y)``; by default the grid carries the outermost
-            detector angle times ``angle_margin`` (1.2).
-        slice_thickness_angstrom: slices of equal thickness at most this; by default one for each atomic plane.
+        sampling_angstrom, gpts: greatest pixel of the grid, or number of grid points along ``(x, y)``. By default the band limit is the
+            outermost detector angle times ``angle_margin`` (1.2).
+        slice_thickness_angstrom: greatest thickness of slices, which then have equal thickness; by default one slice for each atomic plane.
         projection: ``"infinite"`` (default) or ``"finite"``.
         parametrization: ``"lobato"`` (default), ``"kirkland"``, ``"peng"``.
-        band_fraction, band_taper, oversampling, probe_step, expansion_percent, probe_box, full_exit_grid, tail_correction: as
-            ``stemgen simulate --help`` explains.
-        force: go on though more memory is needed than is free.
+        band_fraction, band_taper, oversampling, probe_step, expansion_percent, probe_box, full_exit_grid, tail_correction: see ``stemgen
+            simulate --help``.
+        force: continue if the simulation needs more memory than is free.
 
     Running:
-        threads: number of threads; all processors by default. The result is the same for any number.
-        progress: ``True`` for a bar (tqdm where installed), or a function of (stage, unit, done, total).
+        threads: number of threads; all processors by default. The result does not depend on it.
+        progress: ``True`` for a bar (by tqdm, if installed), or a function of (stage, unit, done, total).
     """
 
     zone: tuple[int, int, int] | tuple[int, int, int, int] | None
@@ -156,16 +155,17 @@ class SimulationOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class SimulationPlan:
-    """What a simulation would do and take; nothing was simulated.
+    """Size, memory and time of a simulation, before it begins.
 
     Attributes:
         atoms: number of atoms.
         box_angstrom: edges of the box ``(x, y, z)``.
-        scan_shape: probes along ``(y, x)`` of the image; ``probes`` are those that are propagated.
-        band_limit_mrad: scattering is carried to this angle.
-        memory_bytes: about; time_range_s: at least and at most, from a short measurement.
-        warnings: what should be known.
-        details: everything, as ``stemgen simulate --dry-run --json`` has it.
+        scan_shape: pixels of the image along ``(y, x)``. The attribute ``probes`` is the number of propagated probes.
+        band_limit_mrad: greatest scattering angle of the grid.
+        memory_bytes: estimated memory.
+        time_range_s: least and greatest estimated time, from a short measurement.
+        warnings: warnings about the simulation.
+        details: all values, as in ``stemgen simulate --dry-run --json``.
     """
 
     atoms: int
@@ -190,14 +190,14 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
         **options: see :class:`SimulationOptions`.
 
     Returns:
-        One :class:`Image` for each detector, ``[y, x]`` in fractions of the incident beam; ``[thickness, y, x]`` where several
-        thicknesses are asked for. Of a defocus series, each for itself: ``"HAADF_defocus_20A"``; files hold them as one stack. Where there is one image only, the
-        result can be used as that.
+        One :class:`Image` for each detector, ``[y, x]`` in fractions of the incident beam; ``[thickness, y, x]`` for several thicknesses. A
+        defocus series has one image for each value: ``"HAADF_defocus_20A"``; files contain the series as one stack. If there is one image
+        only, the result can be used as this image.
 
     Raises:
         InvalidValue: for an option out of its limits.
-        FormatError, FileError: for the file.
-        NotEnoughMemory: unless ``force``.
+        FormatError, FileError: if the file cannot be read.
+        NotEnoughMemory: if the simulation needs more memory than is free, unless ``force`` is set.
         KeyboardInterrupt: after Ctrl-C.
     """
     found = call(_core.simulate, *_request(atoms, options), options.get("force", False), _run(options))
@@ -231,13 +231,13 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
 
 @dataclass(frozen=True, eq=False)
 class ProbeValues(Mapping[str, npt.NDArray[np.float32]]):
-    """What single probes give: ``values["HAADF"]``, by the name of the detector, in fractions of the incident beam.
+    """Detector values of single probes: ``values["HAADF"]``, by name of the detector, in fractions of the incident beam.
 
     Attributes:
-        values_of: float32 [probe], or [thickness, probe] where several thicknesses were asked for, by name.
-        positions_angstrom: float64 [probe, (x, y)].
+        values_of: float32 [probe], or [thickness, probe] for several thicknesses, by name of the detector.
+        positions_angstrom: places of the probes, float64 [probe, (x, y)].
         thicknesses_angstrom: thicknesses at which the values are recorded.
-        metadata: what was simulated.
+        metadata: parameters of the simulation.
     """
 
     values_of: Mapping[str, npt.NDArray[np.float32]]
@@ -262,10 +262,9 @@ def simulate_probes(
     unit: Literal["cell", "nm", "angstrom"] = "angstrom",
     **options: Unpack[SimulationOptions],
 ) -> ProbeValues:
-    """Simulates single probes, each where you say: at atomic columns, along a line, at the places of a scan with errors.
+    """Simulates single probes at given places, for example at atomic columns, along a line, or at the places of a scan with errors.
 
-    Each probe is propagated by itself, so a raster is simulated faster by :func:`simulate`. With ``engine="window"`` each has a
-    window of its own.
+    Each probe is propagated separately, so :func:`simulate` is faster for a raster. With ``engine="window"`` each probe has its own window.
 
     Args:
         atoms: as :func:`simulate` takes them.
@@ -275,11 +274,11 @@ def simulate_probes(
             raster, and PRISM has no single probes.
 
     Returns:
-        Values by the name of the detector; of a defocus series ``"HAADF_defocus_20A"``.
+        Values by name of the detector; for a defocus series with the name ``"HAADF_defocus_20A"``.
 
     Raises:
-        InvalidValue: for positions that are no pairs of finite numbers, and options out of their limits.
-        FormatError, FileError, NotEnoughMemory, KeyboardInterrupt: as :func:`simulate`.
+        InvalidValue: for positions that are no pairs of finite numbers, and for options out of their limits.
+        FormatError, FileError, NotEnoughMemory, KeyboardInterrupt: see :func:`simulate`.
     """
     unused = {"scan", "source_size_angstrom", "dose", "accuracy_percent"} & options.keys()
     if unused:
@@ -310,7 +309,7 @@ def simulate_probes(
 
 
 def plan_simulation(atoms: Atoms, **options: Unpack[SimulationOptions]) -> SimulationPlan:
-    """What :func:`simulate` would do and take with the same arguments; nothing is simulated."""
+    """Estimates size, memory and time of :func:`simulate` with these arguments, from a short measurement."""
     report = json.loads(call(_core.plan_simulation, *_request(atoms, options), _run(options)))
     x, y, z = report["box_angstrom"]
     rows, columns = report["scan_shape"]
@@ -331,7 +330,7 @@ def plan_simulation(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Simul
 
 
 def plane_wave(atoms: Atoms, **options: Unpack[SimulationOptions]) -> PlaneWave:
-    """Propagates a plane wave through atoms, and images it through the lens: conventional TEM.
+    """Propagates a plane wave through atoms, and images it with the objective lens (conventional TEM).
 
     Args:
         atoms: as :func:`simulate` takes them.
@@ -359,7 +358,7 @@ def plane_wave(atoms: Atoms, **options: Unpack[SimulationOptions]) -> PlaneWave:
 def diffraction(
     atoms: Atoms, position_angstrom: tuple[float, float], **options: Unpack[SimulationOptions]
 ) -> DiffractionPattern:
-    """The diffraction pattern of one probe, the mean over phonon configurations, by multislice or in a window.
+    """Simulates the diffraction pattern of one probe by multislice or in a window, averaged over phonon configurations.
 
     Args:
         atoms: as :func:`simulate` takes them.
@@ -381,7 +380,7 @@ def _run(options: SimulationOptions) -> Any:
     return running(options.get("threads"), options.get("progress"))
 
 
-#: Options that the request takes as they are: table and key.
+#: Options that are copied to the request unchanged: table and key.
 _AS_GIVEN: dict[str, tuple[str, str]] = {
     **{key: ("specimen", key) for key in ("max_strain_percent", "temperature_k")},
     **{
@@ -418,13 +417,13 @@ _NULLABLE = {key for key, kind in SimulationOptions.__annotations__.items() if "
 
 
 def _request(atoms: Atoms, options: SimulationOptions) -> tuple[_core.SimulationRequest, _core.AtomArrays | None]:
-    """What was given, as the library's request has it, and atoms at hand. The library has the defaults."""
+    """Returns the given options as a request of the library, which contains the defaults, and the atoms if they are in memory."""
     unknown = options.keys() - SimulationOptions.__annotations__.keys()
     if unknown:
         raise TypeError(f"unexpected keyword argument {sorted(unknown)[0]!r}")
     source = atoms_source(atoms)
     tables: dict[str, dict[str, Any]] = {"specimen": {}, "microscope": {}, "numerics": {}}
-    # None stands for the default where the type says so; elsewhere the library tells what is wrong with it.
+    # None is the default of options with None in their type. For other options the library reports it as an error.
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None or key not in _NULLABLE}
     for keyword, value in given.items():
         if keyword in _AS_GIVEN:
@@ -470,7 +469,7 @@ def _interpolation(factors: Any) -> tuple[int, ...]:
 
 
 def _aberrations(aberrations: Any) -> list[dict[str, Any]]:
-    """Coefficients by their names, C12: order 1, symmetry 2."""
+    """Converts coefficients with names, for example C12: order 1, symmetry 2."""
     listed = []
     for name, value in aberrations.items():
         magnitude, azimuth = value if isinstance(value, (tuple, list)) else (value, 0.0)
@@ -487,7 +486,7 @@ def _aberrations(aberrations: Any) -> list[dict[str, Any]]:
     return listed
 
 
-#: Options that are read before the request takes them: table, key, reader.
+#: Options that are converted for the request: table, key, converter.
 _READERS: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
     "zone": ("specimen", "zone", lambda value: _directions("zone", value)),
     "up": ("specimen", "up", lambda value: _directions("up", value)),

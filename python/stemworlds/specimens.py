@@ -1,4 +1,4 @@
-"""The atoms of a recipe's specimen."""
+"""Lays out the atoms of a recipe's specimen."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def specimen(
     progress: Progress = False,
     **changes: Any,
 ) -> Any:
-    """The atoms of a recipe's specimen: ``ase.Atoms`` where ASE is installed, else :class:`AtomArrays`.
+    """Lays out the atoms of a recipe's specimen. Returns ``ase.Atoms`` if ASE is installed, otherwise :class:`AtomArrays`.
 
-    Beside positions and numbers each atom has ``column``, the index of its atomic column, ``defect`` (``"substitution_Ge"``, or
+    In addition to positions and numbers, each atom has ``column``, the index of its atomic column, ``defect`` (``"substitution_Ge"``, or
     ``"none"``) and ``atom_type`` (0 pristine, 1 vacancy, 2 substitution). Carbon on the faces (``[surface]`` of the recipe) comes last, in
-    column -1; z counts from the face that the beam enters.
+    column -1. z counts from the entrance face of the beam.
 
     Args:
         recipe: name, path, TOML, dict or :class:`Recipe`.
@@ -67,7 +67,7 @@ def specimen_arrays(
     progress: Progress = False,
     **changes: Any,
 ) -> AtomArrays:
-    """The same as plain arrays, whether ASE is installed or not."""
+    """Lays out the atoms of a recipe's specimen as plain arrays, with the arguments of :func:`specimen`."""
     difficulty = changes.pop("difficulty", None)
     resolved = Recipe(recipe, difficulty, **changes)
     found = call(_core.specimen_sites, resolved.toml, region_nm, running(threads, progress))

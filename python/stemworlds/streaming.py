@@ -1,4 +1,4 @@
-"""Endless, exact, annotated samples, made on the fly."""
+"""Makes annotated samples on demand, in endless streams."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ SAMPLE_PARTICLE_DTYPE = np.dtype([("x_px", "f8"), ("y_px", "f8"), ("radius_px", 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What a sample shows. Arrays of images are ``[y, x]``.
+    """The truth of a sample. Images are ``[y, x]``.
 
     Attributes:
-        heat_map: float32, Gaussians of height 1 about columns; the nearest column counts.
-        class_mask: uint8, class of the column (:data:`COLUMN_CLASSES`) where the heat map is above one half; 0 elsewhere.
+        heat_map: float32, Gaussians of height 1 around columns. Each pixel belongs to the nearest column.
+        class_mask: uint8, class of the column (:data:`COLUMN_CLASSES`) in pixels with a heat map above one half; 0 in other pixels.
         phase_mask: int32, phase of each pixel.
-        columns: columns in the sample, :data:`SAMPLE_COLUMN_DTYPE`; ``number`` is the heaviest atom's, ``occupancy`` the share of sites
-            that hold an atom.
-        particles: outlines of particles that reach into the sample, :data:`SAMPLE_PARTICLE_DTYPE`.
+        columns: columns in the sample, :data:`SAMPLE_COLUMN_DTYPE`. ``number`` is the atomic number of the heaviest atom, ``occupancy`` the
+            share of occupied sites.
+        particles: outlines of particles that overlap the sample, :data:`SAMPLE_PARTICLE_DTYPE`.
     """
 
     heat_map: npt.NDArray[np.float32]
@@ -56,19 +56,19 @@ class Targets:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """An annotated image. It unpacks: ``image, targets = sample``.
+    """An annotated image. It can be unpacked: ``image, targets = sample``.
 
     Attributes:
-        index: its number.
-        source: index of its recipe.
-        recipe: its recipe as TOML.
-        image: float32 ``[y, x]``, counts over the electrons of a pixel: fractions of the beam with noise.
-        counts: uint32, electrons counted.
+        index: number of the sample.
+        source: index of the recipe.
+        recipe: the recipe as TOML.
+        image: float32 ``[y, x]``, fractions of the beam with noise: counts divided by the incident electrons of a pixel.
+        counts: uint32, counted electrons.
         clean: float32, the image without noise, in fractions of the beam.
         dose: electrons per square Angstrom.
         pixel_nm: edge of a pixel.
-        angle_deg: by which it is turned against the specimen.
-        centre_nm: its middle ``(x, y)`` in the full field.
+        angle_deg: angle between scan and specimen.
+        centre_nm: centre ``(x, y)`` of the sample in the full field.
     """
 
     index: int
@@ -88,7 +88,7 @@ class Sample:
 
 
 class Stream:
-    """Samples by their numbers; see :func:`stream`. It can be pickled: spawned processes make it anew from its recipes."""
+    """Makes samples by their numbers, see :func:`stream`. It can be pickled; spawned processes make it again from its recipes."""
 
     def __init__(self, fields: Sequence[_core.SampleOptions], weights: Sequence[float], seed: int, batch: int, threads: int | None) -> None:
         self._made = (tuple(fields), tuple(weights))
@@ -104,16 +104,16 @@ class Stream:
         return Stream, (*self._made, self.seed, self.batch, self.threads)
 
     def prepare(self, *, index: int = 0, progress: Progress = False) -> None:
-        """Fills the libraries that samples from ``index`` on draw from; otherwise the first sample waits for that."""
+        """Computes the libraries for samples from ``index`` on. Without this call, the first sample waits for them."""
         for source in self._sources:
             self._used.by(call)(source.prepare, index, running(self.threads, progress))
 
     def sample(self, index: int) -> Sample:
-        """The sample of this number: the same for the same seed, whatever else was asked for."""
+        """Returns the sample of this number. It depends on recipes, options and seed alone, not on earlier samples."""
         return self.samples([index])[0]
 
     def samples(self, indices: Sequence[int]) -> list[Sample]:
-        """The samples of these numbers, made in parallel."""
+        """Returns the samples of these numbers, made in parallel."""
         wanted = [(int(index), self._source(int(index))) for index in indices]
         found: dict[int, Sample] = {}
         for number, source in enumerate(self._sources):
@@ -125,7 +125,7 @@ class Stream:
         return [found[index] for index, _ in wanted]
 
     def iterate(self, first: int = 0, step: int = 1, count: int | None = None) -> Iterator[Sample]:
-        """Samples ``first``, ``first + step`` ...; endless without ``count``."""
+        """Yields the samples ``first``, ``first + step`` ...; endlessly without ``count``."""
         done = 0
         while count is None or done < count:
             size = self.batch if count is None else min(self.batch, count - done)
@@ -158,10 +158,10 @@ def stream(
     threads: int | None = None,
     **changes: Any,
 ) -> Stream:
-    """An endless stream of annotated images, each at a place of its own of a specimen that is computed on the fly.
+    """Makes an endless stream of annotated images, simulated on demand at random places of a specimen.
 
-    Places, angles, pixels and doses are drawn anew for each sample. Images are interpolated once, from the probes that were simulated, at
-    the very places of their pixels. The same seed and index give the same sample, whatever the number of threads and workers.
+    Place, angle, pixel size and dose are drawn for each sample. An image is interpolated once, from the simulated probes to its pixels.
+    Seed and index determine a sample; the number of threads and workers has no effect.
 
     Args:
         recipe: name, path, TOML, dict or :class:`Recipe`; or several, a list, or a dict with a weight for each.
@@ -176,7 +176,7 @@ def stream(
         **changes: ``set``, ``unset``, ``grid`` of the recipes, as :class:`Recipe` takes them; ``grid`` says how large the field is.
 
     Returns:
-        A :class:`Stream`. Iterate over it, or ask for a sample by its number.
+        A :class:`Stream`. Iterate over it, or call :meth:`Stream.sample` with a number.
     """
     first, last = (math.radians(angle) for angle in _range("angle_deg", angle_deg))
     options: _core.SampleOptions = {
@@ -211,7 +211,7 @@ def _weighted(recipe: Any) -> list[tuple[RecipeLike, float]]:
     if isinstance(recipe, Recipe) or isinstance(recipe, (str, os.PathLike)):
         return [(recipe, 1.0)]
     if isinstance(recipe, Mapping):
-        # A recipe as a dict has a version; a mixture has weights.
+        # A recipe as a dict has the key version; a dict of several recipes has not.
         if "version" in recipe:
             return [(recipe, 1.0)]
         return [(one, float(weight)) for one, weight in recipe.items()]

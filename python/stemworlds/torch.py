@@ -1,4 +1,4 @@
-"""Samples for PyTorch, which has to be installed."""
+"""Makes samples for PyTorch, which has to be installed."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from .streaming import Sample, Stream
 
 
 class TileDataset(IterableDataset[dict[str, Any]]):
-    """A stream as a dataset: each worker of a ``DataLoader`` makes samples of its own.
+    """A stream as a dataset. Each worker of a ``DataLoader`` makes different samples.
 
-    Worker ``w`` of ``n`` yields the samples ``first + w``, ``first + w + n`` ...: together they yield the same samples whatever their
-    number. Items are dicts of tensors: ``image`` and ``clean`` float32 ``[1, y, x]``, ``heat_map`` float32 ``[1, y, x]``, ``class_mask``
-    and ``phase_mask`` int64 ``[y, x]``, ``index``, ``dose``, ``pixel_nm``.
+    Worker ``w`` of ``n`` yields the samples ``first + w``, ``first + w + n`` ... The set of samples therefore does not depend on the number
+    of workers. Items are dicts of tensors: ``image`` and ``clean`` float32 ``[1, y, x]``, ``heat_map`` float32 ``[1, y, x]``,
+    ``class_mask`` and ``phase_mask`` int64 ``[y, x]``, ``index``, ``dose``, ``pixel_nm``.
 
     Args:
-        stream: what :func:`stemworlds.stream` returns. With workers, ``threads=1`` is best: each has a process of its own.
-        count: number of samples, of all workers together; endless by default.
-        first: number of the first.
+        stream: a stream from :func:`stemworlds.stream`. With workers, ``threads=1`` is fastest, since each worker is a process.
+        count: number of samples, summed over all workers; endless by default.
+        first: number of the first sample.
     """
 
     def __init__(self, stream: Stream, *, count: int | None = None, first: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""Pictures and pages of worlds and recipes."""
+"""Draws worlds and recipes as pictures and pages."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ def view(
     threads: int | None = None,
     **recipe: Any,
 ) -> str:
-    """Draws a world, or a part of it, or makes a page to look at it in a browser; of a recipe, draws the projected specimen.
+    """Draws a world or a part of it as a picture, or as a page for the browser. For a recipe it draws the projected specimen.
 
     Args:
-        field: a :class:`World`, the path of one, or a recipe.
+        field: a :class:`World`, its path, or a recipe.
         out: a picture (``.png``), or a page (``.html``) that zooms to single atoms and needs no network.
-        region_nm: only this part, left, upper, right and lower edge; what a page shows first.
-        clean: the noiseless image, of a world built with ``keep_clean=True``.
+        region_nm: the drawn region, left, upper, right and lower edge. A page shows it first.
+        clean: draw the noise-free image, for a world built with ``keep_clean=True``.
         contrast: percentiles of the image that become the first and the last colour.
-        overlays: what is drawn over the image.
+        overlays: the parts of the truth that are drawn over the image.
         size: longest side of a picture in pixels.
         **recipe: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed`` of a recipe.
 

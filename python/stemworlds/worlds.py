@@ -1,4 +1,4 @@
-"""World files: the image of a specimen, and the truth about it."""
+"""Reads world files: the image of a specimen, and the truth about it."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ SITE_DTYPE = np.dtype(
 PARTICLE_DTYPE = np.dtype(
     [("x_nm", "f4"), ("y_nm", "f4"), ("z_nm", "f4"), ("diameter_nm", "f4"), ("morphology", "U16"), ("orientation", "f4", (4,))]
 )
-#: What a column is: index of ``class`` in truth tables. 0 is the background of masks.
+#: Names of the classes of columns. ``class`` in truth tables is an index into them; 0 is the background of masks.
 COLUMN_CLASSES = ("background", "pristine", "vacancies", "substitutions", "vacancies and substitutions")
 
 
 class Table:
-    """A table: named columns of equal length."""
+    """A table of named columns with equal length."""
 
     def __init__(self, array: StructuredArray) -> None:
         #: The table as a structured array.
@@ -60,13 +60,14 @@ class Table:
         return self.array[name]
 
     def to_pandas(self) -> Any:
-        """The table as a ``pandas.DataFrame``; pandas has to be installed."""
+        """Returns the table as a ``pandas.DataFrame``. pandas has to be installed."""
         import pandas
 
         return pandas.DataFrame({name: self.array[name] for name in self.names})
 
     def to_csv(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Writes the table as CSV. Texts that a spreadsheet would compute, as those that begin with =, get an apostrophe before them."""
+        """Writes the table as CSV. Texts that a spreadsheet would read as a formula, for example with a leading =, get a leading
+        apostrophe."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.names)
@@ -85,17 +86,17 @@ class Table:
 
 @dataclass(frozen=True)
 class WorldMetadata:
-    """What describes a world. Other programs may write less: those are ``None``.
+    """Metadata of a world. Values that are missing in files of other programs are ``None``.
 
     Attributes:
         pixel_nm: edge of a pixel in nm.
-        tile_size_px, overlap_px: of tiles.
+        tile_size_px, overlap_px: edge and overlap of tiles.
         grid: rows and columns of tiles.
         shape: height and width in pixels.
-        fov_nm: the same in nm.
+        fov_nm: height and width in nm.
         scaling: scale and offset, fraction of the beam = value * scale + offset.
         phases: names of the phases by their codes.
-        detectors: inner and outer angle in mrad of each detector of a world that names several, the main one first; else none.
+        detectors: inner and outer angle in mrad of each detector, the main one first; empty for a world with one unnamed detector.
     """
 
     pixel_nm: float
@@ -125,21 +126,21 @@ class WorldMetadata:
 class World:
     """A world file, open for reading.
 
-    Places are ``(x, y)`` in nm from the centre of pixel (0, 0); images are ``[y, x]``. The file is opened for reading only, and can be
-    open in h5py at the same time. ``with World(path) as world`` closes it at the end.
+    Places are ``(x, y)`` in nm from the centre of pixel (0, 0); images are ``[y, x]``. The file may be open in h5py at the same time.
+    ``with World(path) as world`` closes it at the end.
 
     Args:
         path: the file.
-        check: first reads the file through in a process of its own: damaged files of strangers may end or hang the HDF5 library.
+        check: read the whole file first in a separate process, since a damaged file may crash or hang the HDF5 library.
 
     Raises:
-        FileMissing, FileForbidden: where the file cannot be read.
-        FormatError: for a file that is no world, or damaged.
+        FileMissing, FileForbidden: if the file does not exist, or may not be read.
+        FormatError: for a file that is no world, or is damaged.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, check: bool = False) -> None:
         self.path: str = os.fspath(path)
-        #: What :func:`build` says of a world that it has just built.
+        #: Facts about the build, if :func:`build` has just built the world.
         self.summary: Mapping[str, Any] | None = None
         if check:
             _core.check_file(self.path, [sys.executable, "-m", "stemworlds"])
@@ -151,7 +152,7 @@ class World:
         self.metadata: WorldMetadata = WorldMetadata(**facts)
 
     def close(self) -> None:
-        """Closes the file. It is opened again when read."""
+        """Closes the file. The next read opens it again."""
         reading(self._reader.close)()
 
     def __enter__(self) -> World:
@@ -189,10 +190,10 @@ class World:
 
     @property
     def recipe(self) -> Recipe:
-        """The recipe it was made of.
+        """The recipe of the world.
 
         Raises:
-            InvalidValue: where the file holds none.
+            InvalidValue: if the file contains no recipe.
         """
         if self.metadata.recipe is None:
             raise _invalid("path", f"{self.path}: holds no recipe; it was not built by stemgen")
@@ -200,15 +201,15 @@ class World:
 
     @property
     def detectors(self) -> Mapping[str, tuple[float, float]]:
-        """Inner and outer angle in mrad of each detector, the main one first; none in a world of one detector without a name."""
+        """Inner and outer angle in mrad of each detector, the main one first; empty for a world with one unnamed detector."""
         return self.metadata.detectors
 
     def tile(self, row: int, column: int, *, clean: bool = False, detector: str | None = None) -> Image:
-        """A tile: normalised as in the file (0 to 1), or without noise in fractions of the beam.
+        """Returns a tile: normalised as in the file (0 to 1), or without noise in fractions of the beam.
 
         Args:
-            row, column: counted from 0.
-            clean: without noise.
+            row, column: row and column of the tile, from 0.
+            clean: return the noise-free tile.
             detector: name of one of :attr:`detectors`; the main one by default.
         """
         stride = self.metadata.tile_size_px - self.metadata.overlap_px
@@ -219,12 +220,12 @@ class World:
     def image(
         self, region_nm: tuple[float, float, float, float] | None = None, *, clean: bool = False, detector: str | None = None
     ) -> Image:
-        """The image of a region, left, upper, right and lower edge in nm; the whole by default.
+        """Returns the image of a region, left, upper, right and lower edge in nm; by default the whole image.
 
         Args:
-            region_nm: all pixels that it touches are taken.
-            clean: the image without noise, in fractions of the beam, of a world built with ``keep_clean=True``; otherwise
-                normalised as in the file, 0 to 1.
+            region_nm: the region. The image contains all pixels that it touches.
+            clean: return the image without noise, in fractions of the beam, for a world built with ``keep_clean=True``; otherwise the image
+                is normalised as in the file, 0 to 1.
             detector: name of one of :attr:`detectors`; the main one by default.
         """
         rows, columns = self._pixels(region_nm)
@@ -232,7 +233,7 @@ class World:
         return self._image("world", array, (rows[0], columns[0]), clean)
 
     def fractions(self, image: Image, *, detector: str | None = None) -> npt.NDArray[np.float32]:
-        """The values of a normalised image of a detector as fractions of the beam."""
+        """Converts a normalised image of a detector to fractions of the beam."""
         scaling = reading(self._reader.scaling)(detector)
         if scaling is None:
             raise _invalid("path", f"{self.path}: tells no scaling")
@@ -240,7 +241,7 @@ class World:
         return (image.array * scale + offset).astype(np.float32)
 
     def overview(self, *, detector: str | None = None) -> Image:
-        """The whole image, made smaller by 8."""
+        """Returns the whole image, reduced by a factor of 8 along each axis."""
         array = reading(self._reader.overview)(detector)
         pixel = 8 * self.pixel_nm
         shift = 3.5 * self.pixel_nm
@@ -258,10 +259,10 @@ class World:
 
     @property
     def sites(self) -> StructuredArray:
-        """All lattice sites, vacant ones too, a structured array of :data:`SITE_DTYPE`.
+        """All lattice sites, with vacant ones, a structured array of :data:`SITE_DTYPE`.
 
-        ``type`` is 0 pristine, 1 vacancy, 2 substitution; ``number`` the atomic number, of a vacancy that of the missing atom;
-        ``column`` an index into :attr:`columns`. What a file of another program lacks is -1, or NaN.
+        ``type`` is 0 pristine, 1 vacancy, 2 substitution. ``number`` is the atomic number of the atom, for a vacancy of the missing atom.
+        ``column`` is an index into :attr:`columns`. Values that are missing in a file of another program are -1 or NaN.
         """
         found = reading(self._reader.sites)()
         out = np.zeros(len(found["types"]), SITE_DTYPE)
@@ -273,12 +274,12 @@ class World:
 
     @property
     def defect_names(self) -> npt.NDArray[np.bytes_]:
-        """Name of the defect at each site, ``b"vacancy_O"``; empty for none."""
+        """Name of the defect at each site, for example ``b"vacancy_O"``; empty for a site without a defect."""
         return np.frombuffer(reading(self._reader.sites)()["names"], "S16")
 
     @property
     def particles(self) -> StructuredArray:
-        """Particles that reach into the image, a structured array of :data:`PARTICLE_DTYPE`; none in most worlds."""
+        """Particles that overlap the image, a structured array of :data:`PARTICLE_DTYPE`; empty in most worlds."""
         found = reading(self._reader.particles)()
         out = np.zeros(len(found["diameters_nm"]), PARTICLE_DTYPE)
         out["x_nm"], out["y_nm"], out["z_nm"] = found["centres_nm"].reshape(-1, 3).T
@@ -288,20 +289,20 @@ class World:
 
     @property
     def boundaries(self) -> list[tuple[str, npt.NDArray[np.float32]]]:
-        """Boundaries of grains and phases: what they separate, and corners ``[point, (x, y)]`` in nm."""
+        """Boundaries of grains and phases: the kind of boundary, and its corners ``[point, (x, y)]`` in nm."""
         return reading(self._reader.boundaries)()
 
     @property
     def phase_map(self) -> npt.NDArray[np.int32] | None:
-        """Phase of each pixel, ``[y, x]``, an index into ``metadata.phases``; ``None`` in a world of one phase."""
+        """Returns the phase of each pixel, ``[y, x]``, an index into ``metadata.phases``; ``None`` in a world of one phase."""
         height, width = self.shape
         return reading(self._reader.phase_map)((0, height), (0, width))
 
     def truth_table(self, region_nm: tuple[float, float, float, float] | None = None) -> Table:
-        """The atomic columns as a table: places in nm and pixels, what each holds, and its class (:data:`COLUMN_CLASSES`).
+        """Returns the atomic columns as a table: places in nm and pixels, atoms and defects, and class (:data:`COLUMN_CLASSES`).
 
         Args:
-            region_nm: only columns in it; ``x_px`` and ``y_px`` then count from the first pixel of :meth:`image` of that region.
+            region_nm: the region of the columns. ``x_px`` and ``y_px`` then count from the first pixel of :meth:`image` of this region.
         """
         columns = self.columns
         (first_row, last_row), (first_column, last_column) = self._pixels(region_nm)
@@ -330,7 +331,7 @@ class World:
         ax: Any = None,
         **options: Any,
     ) -> Any:
-        """Draws a region with matplotlib, with columns or defects over it, and returns the axes."""
+        """Draws a region with matplotlib, optionally with columns or defects. Returns the axes."""
         image = self.image(region_nm, clean=clean)
         ax = image.plot(ax, **options)
         if overlay is not None:

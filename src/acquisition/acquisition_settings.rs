@@ -1,11 +1,11 @@
-//! What a recording is made with: the scan, its errors, and the chain from the detector to the file.
+//! Settings of a recording: the scan and its errors, and the chain from the detector to the file.
 
 use serde::{Deserialize, Serialize};
 
 use super::profiles::Profile;
 use crate::setting::{Fault, check_range};
 
-/// Declares [`Acquisition`] and [`AcquisitionTable`], the same with every value left open.
+/// Declares [`Acquisition`], and [`AcquisitionTable`], in which every value is optional.
 macro_rules! acquisition {
     ($($(#[doc = $doc:literal])* $name:ident: $kind:ty,)*) => {
         /// How a noise-free image is recorded.
@@ -15,11 +15,11 @@ macro_rules! acquisition {
             $($(#[doc = $doc])* pub $name: $kind,)*
         }
 
-        /// The table `[acquisition]` of a recipe: values that it leaves out are those of its profile.
+        /// The table `[acquisition]` of a recipe. Missing values are taken from its profile.
         #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields)]
         pub struct AcquisitionTable {
-            /// Where values that are left out come from; `ideal` when absent.
+            /// The profile of missing values; `ideal` when absent.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub profile: Option<Profile>,
             $($(#[doc = $doc])*
@@ -28,7 +28,7 @@ macro_rules! acquisition {
         }
 
         impl AcquisitionTable {
-            /// The table with the values of its profile filled in.
+            /// Fills in missing values from the profile.
             pub fn resolved(&self) -> Acquisition {
                 let base = self.profile.unwrap_or_default().acquisition();
                 Acquisition { $($name: self.$name.unwrap_or(base.$name),)* }
@@ -50,30 +50,30 @@ acquisition! {
     drift_random_nm_per_sqrt_s: f64,
     /// Random displacement of whole lines: standard deviation along each axis in Angstrom.
     line_jitter_angstrom: f64,
-    /// How far the beam is to the left of its place when a line begins, in Angstrom.
+    /// Distance in Angstrom of the beam to the left of its intended place at the start of a line.
     overshoot_angstrom: f64,
-    /// Time in which that falls to 1/e, in microseconds.
+    /// Time in which the overshoot falls to 1/e, in microseconds.
     overshoot_decay_us: f64,
     /// Frequency of the mains hum in Hz.
     hum_hz: f64,
     /// Amplitude (x, y) of the mains hum in Angstrom.
     hum_angstrom: [f64; 2],
-    /// By how much the scan is too large along (x, y), in per cent.
+    /// Excess size of the scan along (x, y), in per cent.
     scale_percent: [f64; 2],
     /// Displacement along x over distance along y, in per cent.
     shear_percent: f64,
-    /// Volume of carbon in cubic Angstrom that each electron leaves on the specimen: the thickness in Angstrom that a dose of 1 e/A^2
-    /// adds where the beam has been. Frames see what those before have left.
+    /// Volume of carbon in cubic Angstrom that each electron deposits on the specimen: the thickness in Angstrom that a dose of 1 e/A^2
+    /// adds to the exposed area. Frames show the carbon of earlier frames.
     contamination_angstrom3_per_electron: f64,
     /// Detective quantum efficiency: electrons give pulses of different height, of relative variance 1 / DQE - 1.
     dqe: f64,
-    /// Share of the light that comes late.
+    /// Share of the light that is emitted late.
     afterglow_share: f64,
     /// Time in which the late light falls to 1/e, in microseconds.
     afterglow_us: f64,
-    /// Current s on the detector in pA at which half is lost: x becomes x / (1 + x / s). 0: the detector is linear.
+    /// Current s on the detector in pA at which half of the signal is lost: x becomes x / (1 + x / s). 0: the detector is linear.
     saturation_pa: f64,
-    /// Counts that one electron gives.
+    /// Counts of one electron.
     gain_counts: f64,
     /// Counts without electrons.
     dark_counts: f64,
@@ -86,7 +86,7 @@ acquisition! {
 /// Range of a value, with its key.
 type Limits = (&'static str, [f64; 2]);
 
-/// Converters that there are.
+/// Supported converters.
 const BITS: [u32; 4] = [8, 12, 16, 32];
 
 impl Acquisition {
@@ -128,7 +128,7 @@ impl Acquisition {
     /// Checks every value against its limits.
     ///
     /// # Errors
-    /// The first value outside them.
+    /// The first value outside its limits.
     pub fn check(&self) -> Result<(), Fault> {
         for (value, (key, limits)) in self.limited() {
             check_range(key, value, limits)?;
@@ -140,12 +140,12 @@ impl Acquisition {
         Err(Fault { key: "bits".into(), value: self.bits.to_string(), expected })
     }
 
-    /// Time from the beginning of one line of so many pixels to that of the next, in s.
+    /// Time from the start of one line of this number of pixels to the start of the next, in s.
     pub fn line_s(&self, columns: usize) -> f64 {
         1e-6 * (columns as f64 * self.dwell_us + self.flyback_us)
     }
 
-    /// The largest count that the converter gives; `None` for one that does not round.
+    /// The largest count of the converter; `None` for a converter that does not round.
     pub fn full_scale(&self) -> Option<f64> {
         (self.bits < 32).then(|| f64::from((1_u32 << self.bits) - 1))
     }

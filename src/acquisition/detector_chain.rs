@@ -1,4 +1,4 @@
-//! From electrons to the numbers of a file.
+//! The detector chain: from electrons to the numbers of a file.
 
 use rand_distr::{Distribution, Gamma, Poisson};
 
@@ -6,38 +6,38 @@ use super::acquisition_settings::Acquisition;
 use super::exposure::{ELECTRONS_PER_PA_US, Exposure};
 use crate::rng::{ItemRng, Purpose, normal3};
 
-/// What happens to the electrons of a pixel, in this order:
+/// Converts the electrons of a pixel to the number in the file, in these steps:
 ///
-/// 1. they come at random: Poisson;
-/// 2. each gives a pulse of random height, gamma distributed with mean 1 and variance `1 / DQE - 1`, so that the sum over n
-///    electrons is gamma distributed too and the noise is that of a detector of this efficiency (R. K. Swank, J. Appl. Phys. 44
-///    (1973) 4199);
-/// 3. a share of the light comes late, as `exp(-t / tau)`, into the pixels that follow; what comes during the fly-back is lost. Each
-///    frame begins in the dark;
-/// 4. a detector that saturates at the current s makes of the current x no more than `x / (1 + x / s)`;
-/// 5. gain, dark counts and Gaussian read-out noise;
-/// 6. a converter rounds and cuts off.
+/// 1. Electrons arrive at random, with Poisson statistics.
+/// 2. Each gives a pulse of random height, gamma distributed with mean 1 and variance `1 / DQE - 1`. The sum over n
+///    electrons is then gamma distributed too, and its noise is the noise of a detector of this efficiency (R. K. Swank,
+///    J. Appl. Phys. 44 (1973) 4199).
+/// 3. A share of the light is emitted late, as `exp(-t / tau)`, in the pixels that follow. Light emitted during the fly-back is lost.
+///    Each frame begins in the dark.
+/// 4. A detector that saturates at the current s converts the current x to `x / (1 + x / s)`.
+/// 5. Gain, dark counts and Gaussian read-out noise are applied.
+/// 6. A converter rounds and clips.
 #[derive(Debug, Clone)]
 pub struct DetectorChain {
     settings: Acquisition,
     electrons_per_pixel: f64,
-    /// Electrons per pixel at which half is lost.
+    /// Electrons per pixel at which half of the signal is lost.
     saturation: Option<f64>,
-    /// Pulses of one electron; `None` where all are alike.
+    /// Shape parameter of the pulse heights; `None` if all pulses are equal.
     pulse_shape: Option<f64>,
     late: LateLight,
     seed: u64,
 }
 
-/// Light of a scintillator that comes late, from pixel to pixel.
+/// Late light of a scintillator, passed from pixel to pixel.
 #[derive(Debug, Clone, Copy)]
 struct LateLight {
     share: f64,
-    /// What a pixel's own late light leaves in it: 1 - (1 - q) tau / dwell, if it is made evenly over the dwell time.
+    /// Share of a pixel's late light that is emitted within the pixel: 1 - (1 - q) tau / dwell, if it is made evenly over the dwell time.
     own: f64,
-    /// What is left of stored light after a pixel.
+    /// Share of the stored light that remains after a pixel.
     kept: f64,
-    /// What is left of it after the fly-back.
+    /// Share of the stored light that remains after the fly-back.
     after_flyback: f64,
 }
 
@@ -54,17 +54,17 @@ impl LateLight {
     }
 }
 
-/// What becomes of one pixel.
+/// The recorded value of one pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Counted {
     /// The number in the file.
     pub value: f64,
-    /// Whether the converter cut it off.
+    /// Whether the converter clipped it.
     pub clipped: bool,
 }
 
 impl DetectorChain {
-    /// The chain of a recording; `seed` decides all that is random.
+    /// Prepares the chain for a recording; `seed` decides all random numbers.
     pub fn new(settings: &Acquisition, exposure: &Exposure, seed: u64) -> Self {
         let saturates = settings.saturation_pa > 0.0;
         let per_pa = exposure.dwell_us * ELECTRONS_PER_PA_US;
@@ -78,27 +78,27 @@ impl DetectorChain {
         }
     }
 
-    /// Electrons that hit the detector in a pixel where it should get this fraction of the beam.
+    /// Draws the electrons that hit the detector in a pixel with this fraction of the beam.
     pub fn electrons(&self, fraction: f64, pixel: u64) -> f64 {
         match Poisson::new(fraction * self.electrons_per_pixel) {
             Ok(poisson) => poisson.sample(&mut ItemRng::new(self.seed, Purpose::Electrons, pixel)),
-            // Not positive: no electrons.
+            // The mean is not positive, so there are no electrons.
             Err(_) => 0.0,
         }
     }
 
-    /// The light that electrons make, in units of one electron's.
+    /// Draws the light that electrons make, in units of the mean light of one electron.
     pub fn light(&self, electrons: f64, pixel: u64) -> f64 {
         let Some(shape) = self.pulse_shape else { return electrons };
         match Gamma::new(electrons * shape, 1.0 / shape) {
             Ok(gamma) => gamma.sample(&mut ItemRng::new(self.seed, Purpose::PulseHeight, pixel)),
-            // No electrons.
+            // There are no electrons.
             Err(_) => 0.0,
         }
     }
 
-    /// Moves the late light of a line into the pixels where it is seen; `stored` is what earlier lines left, and then what this one
-    /// leaves.
+    /// Moves the late light of a line into the pixels in which it is emitted. `stored` is the late light of earlier lines on entry, and
+    /// includes this line's on return.
     pub fn spread_late(&self, line: &mut [f64], stored: &mut f64) {
         let LateLight { share, own, kept, after_flyback } = self.late;
         if share == 0.0 {
@@ -112,7 +112,7 @@ impl DetectorChain {
         *stored *= after_flyback;
     }
 
-    /// The number in the file.
+    /// Converts light to the number in the file.
     pub fn counted(&self, light: f64, pixel: u64) -> Counted {
         let Acquisition { gain_counts, dark_counts, read_noise_counts, .. } = self.settings;
         let seen = self.saturation.map_or(light, |most| light / (1.0 + light / most));

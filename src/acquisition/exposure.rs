@@ -10,7 +10,7 @@ const CURRENT_PA: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 /// Doses in electrons per square Angstrom.
 const DOSE: std::ops::RangeInclusive<f64> = 1e-3..=1e12;
 
-/// How many electrons fall on each pixel, and how fast.
+/// The electrons on each pixel, and the time and frames in which they fall.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exposure {
     /// Electrons on one pixel in one frame.
@@ -37,7 +37,7 @@ impl Exposure {
         Ok(Exposure { electrons_per_pixel, dwell_us, frames, pixel_angstrom })
     }
 
-    /// The exposure by a beam of so many pA.
+    /// The exposure with a beam of `current_pa` pA.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a current out of limits.

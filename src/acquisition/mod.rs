@@ -1,5 +1,4 @@
-//! From the noise-free image to the recording: where the beam really was, how many electrons came, and what the detector
-//! made of them.
+//! From the noise-free image to the recording: the real positions of the beam, the electrons, and the response of the detector.
 
 mod acquisition_settings;
 mod detector_chain;

@@ -1,4 +1,4 @@
-//! Sets of values for microscopes as they are met.
+//! Profiles: typical sets of values for microscopes.
 
 use serde::{Deserialize, Serialize};
 
@@ -39,7 +39,7 @@ pub enum Profile {
     Poor,
 }
 
-/// Without any error; Poisson noise only.
+/// No error except Poisson noise.
 const IDEAL: Acquisition = Acquisition {
     dwell_us: 10.0,
     flyback_us: 0.0,
@@ -116,7 +116,7 @@ impl Profile {
         }
     }
 
-    /// Its values.
+    /// The values of the profile.
     pub fn acquisition(self) -> Acquisition {
         match self {
             Profile::Ideal => IDEAL,

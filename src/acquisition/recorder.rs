@@ -1,4 +1,4 @@
-//! Lines of a recording.
+//! Records the lines of an image.
 
 use std::ops::Range;
 
@@ -23,17 +23,17 @@ pub struct Recorder {
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RecordedRows {
-    /// The noise-free image where the beam was, as fraction of the beam.
+    /// The noise-free image at the real positions of the beam, as fraction of the beam.
     pub moved: Array2<f32>,
     /// Electrons that hit the detector.
     pub electrons: Array2<f32>,
-    /// What the file holds.
+    /// The values in the file.
     pub values: Array2<f32>,
-    /// Pixels that the converter cut off.
+    /// Number of pixels that the converter clipped.
     pub clipped: u64,
 }
 
-/// What is said of `clipped` of so many pixels that a converter cut off; nothing if it cut off none.
+/// Warns that a converter clipped `clipped` of `pixels` pixels; `None` if it clipped none.
 pub fn clipping_warning(clipped: u64, pixels: usize, bits: u32) -> Option<String> {
     let share = 100.0 * clipped as f64 / pixels.max(1) as f64;
     let share = if share < 0.01 { "less than 0.01".to_owned() } else { format!("{share:.2}") };
@@ -51,18 +51,18 @@ impl Recorder {
         Recorder { path, chain, exposure }
     }
 
-    /// Where the beam goes.
+    /// The path of the beam.
     pub fn path(&self) -> &ScanPath {
         &self.path
     }
 
-    /// How many electrons fall on each pixel.
+    /// The electrons on each pixel.
     pub fn exposure(&self) -> &Exposure {
         &self.exposure
     }
 
-    /// Records some rows of a frame. `image` covers where the beam goes ([`ScanPath::reach_nm`]); `late` is the light that the rows
-    /// before have left, 0 for the first: rows are recorded in order, everything else in any.
+    /// Records some rows of a frame. `image` covers the beam's positions ([`ScanPath::reach_nm`]). `late` is the stored light of the rows
+    /// before, 0 for the first row. Rows of a frame are recorded in order; frames may be recorded in any order.
     pub fn rows(
         &self,
         frame: usize,

@@ -1,11 +1,11 @@
-//! Where the beam is while each pixel is recorded.
+//! Positions of the beam while each pixel is recorded.
 
 use std::f64::consts::TAU;
 
 use super::acquisition_settings::Acquisition;
 use crate::rng::{Purpose, normal3, uniform};
 
-/// The pixels that a scan is meant to visit.
+/// The intended pixels of a scan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScanFrame {
     /// Rows and columns.
@@ -16,10 +16,10 @@ pub struct ScanFrame {
     pub origin_nm: [f64; 2],
 }
 
-/// Where columns of atoms count as seen: a Gaussian of this standard deviation, in Angstrom, about as wide as their images.
+/// Standard deviation in Angstrom of the Gaussian that stands for the image of a column.
 const COLUMN_SIGMA_ANGSTROM: f64 = 0.4;
 
-/// The places of a scan on the specimen: those that were meant, moved by
+/// The places of a scan on the specimen: the intended places, moved by
 ///
 /// - scale and shear, about the middle of the frame;
 /// - the overshoot `-a exp(-t / tau)` along x, t from the beginning of the line;
@@ -27,22 +27,22 @@ const COLUMN_SIGMA_ANGSTROM: f64 = 0.4;
 /// - jitter of each line;
 /// - drift of the specimen since the first pixel, with the sign turned: `v t`, and a random walk, which moves on from line to line.
 ///
-/// The beam stands still during the dwell time; t is that of its middle. Scans of several frames go on without a pause.
+/// The beam stands still during the dwell time; t is the time of its middle. Scans of several frames continue without a pause.
 #[derive(Debug, Clone)]
 pub struct ScanPath {
     settings: Acquisition,
     frame: ScanFrame,
-    /// Of every line of every frame: where the random walk has come to, in nm.
+    /// Displacement by the random walk at every line of every frame, in nm.
     walk_nm: Vec<[f64; 2]>,
-    /// The same for the jitter.
+    /// Displacement by the jitter of every line of every frame, in nm.
     jitter_nm: Vec<[f64; 2]>,
-    /// Displacement along x by the overshoot, for each column.
+    /// Displacement along x by the overshoot, for each column, in nm.
     overshoot_nm: Vec<f64>,
     hum_phase: f64,
 }
 
 impl ScanPath {
-    /// The path of a scan; `seed` decides all that is random.
+    /// Draws the path of a scan; `seed` decides all random numbers.
     pub fn new(settings: &Acquisition, frame: ScanFrame, seed: u64) -> Self {
         let settings = *settings;
         let lines = settings.frames * frame.shape[0];
@@ -72,7 +72,7 @@ impl ScanPath {
         path
     }
 
-    /// The pixels that were meant.
+    /// The intended pixels.
     pub fn frame(&self) -> &ScanFrame {
         &self.frame
     }
@@ -82,7 +82,7 @@ impl ScanPath {
         self.settings.frames
     }
 
-    /// Of each line of each frame: its time in s, and how far (x, y) in nm the specimen has drifted.
+    /// Time in s of each line of each frame, and drift (x, y) of the specimen in nm.
     pub fn drift_curve(&self) -> Vec<[f64; 3]> {
         let lines = (0..self.frames()).flat_map(|f| (0..self.frame.shape[0]).map(move |r| (f, r)));
         let line = |(frame, row): (usize, usize)| {
@@ -102,19 +102,19 @@ impl ScanPath {
         self.line_s() * self.walk_nm.len() as f64
     }
 
-    /// Time of a line's beginning since that of the first, in s.
+    /// Time from the start of the first line to the start of this line, in s.
     pub fn line_start_s(&self, frame: usize, row: usize) -> f64 {
         self.line_s() * (frame * self.frame.shape[0] + row) as f64
     }
 
-    /// How far (x, y) in nm the specimen has drifted when a line begins.
+    /// Drift (x, y) of the specimen in nm at the start of a line.
     pub fn drift_nm(&self, frame: usize, row: usize) -> [f64; 2] {
         let t = self.line_start_s(frame, row);
         let walk = self.walk_nm[frame * self.frame.shape[0] + row];
         [0, 1].map(|k| self.settings.drift_nm_per_s[k] * t + walk[k])
     }
 
-    /// Where (x, y) in nm the beam is on the specimen while a pixel is recorded.
+    /// Place (x, y) in nm of the beam on the specimen while a pixel is recorded.
     pub fn place_nm(&self, frame: usize, row: usize, column: usize) -> [f64; 2] {
         let overshoot = self.overshoot_nm[column];
         let (row, column) = (row as f64, column as f64);
@@ -162,7 +162,7 @@ impl ScanPath {
         self.line_s() * line + 1e-6 * (column + 0.5) * self.settings.dwell_us
     }
 
-    /// The least and the greatest x and y, in nm, that the beam may have while it records some rows of all frames.
+    /// The smallest and the largest x and y, in nm, of the beam while it records some rows of all frames.
     pub fn reach_nm(&self, rows: std::ops::Range<usize>) -> [[f64; 2]; 2] {
         let Acquisition { hum_angstrom, overshoot_angstrom, .. } = self.settings;
         let mut reach = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
@@ -187,8 +187,8 @@ impl ScanPath {
         })
     }
 
-    /// Where a column of atoms at (x, y) in nm appears in a frame: (x, y) in pixels from the centre of the first, the centre of mass of
-    /// a Gaussian of 0.4 A (at least one pixel) about the column. Columns beyond the edges have their place too.
+    /// The place where a column of atoms at (x, y) in nm appears in a frame: (x, y) in pixels from the centre of the first pixel. It is the
+    /// centre of mass of a Gaussian of 0.4 A (at least one pixel) about the column. Columns beyond the edges have a place too.
     pub fn appearance_px(&self, frame: usize, position_nm: [f64; 2]) -> [f64; 2] {
         let ScanFrame { shape, pixel_nm, origin_nm } = self.frame;
         let meant = [0, 1].map(|k| (position_nm[k] - origin_nm[k]) / pixel_nm);

@@ -1,4 +1,4 @@
-//! The noise-free image between its pixels.
+//! The noise-free image at places between its pixels.
 
 use std::sync::Arc;
 
@@ -9,8 +9,8 @@ use crate::error::{Error, Result};
 use crate::resample::{Kernel, MARGIN, TAPS};
 use crate::setting::Setting;
 
-/// Part of a noise-free image, with a value at any place of it. An image has no frequencies above twice those of the aperture, so
-/// pixels closer than `wavelength / (4 semiangle)` determine it everywhere; the error of [`Kernel`] is the only one.
+/// Part of a noise-free image, with a value at any place of it. An image has no frequencies above twice the aperture's, so pixels closer
+/// than `wavelength / (4 semiangle)` determine it everywhere. Its only error is the error of [`Kernel`].
 #[derive(Debug, Clone)]
 pub struct SourceImage {
     values: Array2<f32>,
@@ -20,8 +20,8 @@ pub struct SourceImage {
 }
 
 impl SourceImage {
-    /// Pixels ([row, column] = [y, x], fractions of the beam) of an image without frequencies above `band_limit` (1/Angstrom);
-    /// the centre of the first is at `origin_nm` (x, y).
+    /// Makes an image from pixels ([row, column] = [y, x], fractions of the beam) without frequencies above `band_limit` (1/Angstrom). The
+    /// centre of the first pixel is at `origin_nm` (x, y).
     ///
     /// # Errors
     /// [`Error::Invalid`] for pixels too coarse to determine the image, or fewer than [`TAPS`] along an axis.
@@ -40,7 +40,7 @@ impl SourceImage {
         Ok(SourceImage::with_kernel(values, pixel_nm, origin_nm, kernel))
     }
 
-    /// The same with a kernel for these pixels; there are at least [`TAPS`] of them along each axis.
+    /// As [`SourceImage::new`], with a kernel for these pixels. There are at least [`TAPS`] of them along each axis.
     pub fn with_kernel(
         values: Array2<f32>,
         pixel_nm: f64,
@@ -56,7 +56,7 @@ impl SourceImage {
         }
     }
 
-    /// The least and the greatest x and y in nm at which values are right; further out they are those of the edge.
+    /// The smallest and the largest x and y in nm at which values are accurate. Further out, values of the edge are returned.
     pub fn inside_nm(&self) -> [[f64; 2]; 2] {
         let (rows, columns) = self.values.dim();
         let margin = MARGIN as f64 * self.pixel_nm;
@@ -67,7 +67,7 @@ impl SourceImage {
         [range(0, columns), range(1, rows)]
     }
 
-    /// The least and the greatest x and y in nm of its pixels.
+    /// The smallest and the largest x and y in nm of the pixels.
     pub fn extent_nm(&self) -> [[f64; 2]; 2] {
         let (rows, columns) = self.values.dim();
         let range = |k: usize, n: usize| {
@@ -76,7 +76,7 @@ impl SourceImage {
         [range(0, columns), range(1, rows)]
     }
 
-    /// The sum of this image and another one, which has no negative values, at the pixels of this one.
+    /// Adds another image, which has no negative values, at the pixels of this one.
     #[must_use]
     pub fn plus(&self, other: &SourceImage) -> Self {
         let mut values = self.values.clone();

@@ -1,4 +1,4 @@
-//! What an episode asks of a world.
+//! The interface of a world that episodes act in.
 
 use std::sync::Arc;
 
@@ -13,34 +13,34 @@ use crate::recipe::Region;
 /// An atomic column of the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrueColumn {
-    /// (x, y) in nm.
+    /// Position (x, y) in nm.
     pub position_nm: [f64; 2],
-    /// Whether any of its sites holds a defect.
+    /// Whether any of the column's sites holds a defect.
     pub defective: bool,
 }
 
-/// What is in a region. Places are (x, y) in nm from the centre of the field's first pixel.
+/// The truth of a region. Places are (x, y) in nm from the centre of the field's first pixel.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RegionTruth {
     /// Each vacant or substituted site.
     pub defects: Vec<PlacedDefect>,
-    /// Columns in it.
+    /// Columns in the region.
     pub columns: Vec<TrueColumn>,
-    /// Particles that reach into it.
+    /// Particles that reach into the region.
     pub particles: Vec<FoundParticle>,
 }
 
-/// Phases at every so many pixels of a field.
+/// Phases of a field, sampled at every `stride_px`-th pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhaseSamples {
     /// Indices of phases, [row, column].
     pub phases: Array2<i32>,
-    /// Pixels of the field from one to the next; the first lies half as far from the edge.
+    /// Distance of samples in pixels of the field; the first sample lies half a distance from the edge.
     pub stride_px: usize,
 }
 
 impl PhaseSamples {
-    /// How many samples (rows, columns) a field of so many pixels has.
+    /// Returns the number of samples (rows, columns) of a field of `field_px` pixels.
     pub(super) fn shape(field_px: [usize; 2], stride_px: usize) -> [usize; 2] {
         field_px.map(|n| n.saturating_sub(stride_px / 2).div_ceil(stride_px))
     }
@@ -51,30 +51,30 @@ impl PhaseSamples {
 pub struct RecordedView {
     /// Fractions of the beam, [row, column].
     pub image: Array2<f32>,
-    /// What was in the view while it was recorded.
+    /// The truth of the view at the time of the recording.
     pub truth: RegionTruth,
 }
 
 /// A world that an episode acts in.
 pub trait BenchmarkWorld: Send + Sync {
-    /// Facts of its field.
+    /// Returns facts of the field.
     fn facts(&self) -> &FieldFacts;
 
-    /// The noise-free image of a view in fractions of the beam, [row, column]: exact between pixels, up to the error of
+    /// Returns the noise-free image of a view in fractions of the beam, [row, column]. Between pixels it is exact up to the error of
     /// [`Kernel`](crate::resample::Kernel).
     ///
     /// # Errors
-    /// Those of the engine or the file, and [`crate::Error::Interrupted`].
+    /// Errors of the engine or the file, and [`crate::Error::Interrupted`].
     fn clean(&self, view: &TileView, progress: &dyn Progress) -> Result<Arc<Array2<f32>>>;
 
-    /// A view of the image as the world holds it, with its noise, in units of tiles.
+    /// Returns a view of the image that the world holds, with its noise, in units of tiles.
     ///
     /// # Errors
-    /// [`crate::Error::Invalid`] of worlds that hold no image; those of the file.
+    /// [`crate::Error::Invalid`] for worlds that hold no image; errors of the file.
     fn stored(&self, view: &TileView) -> Result<Array2<f32>>;
 
-    /// The part of the overview, in units of tiles, of so many of its pixels about a position (x, y) in fractions of the field;
-    /// zeros beyond a field that is smaller.
+    /// Returns the part of the overview, in units of tiles, with `size` x `size` pixels about a position (x, y) in fractions of the field;
+    /// zeros beyond the edge of a smaller field.
     ///
     /// # Errors
     /// As [`BenchmarkWorld::clean`].
@@ -85,19 +85,19 @@ pub trait BenchmarkWorld: Send + Sync {
         progress: &dyn Progress,
     ) -> Result<Array2<f32>>;
 
-    /// What is in a region now. Columns are listed if `columns`.
+    /// Returns the present truth of a region. Columns are listed if `columns` is set.
     ///
     /// # Errors
-    /// Those of the file.
+    /// Errors of the file.
     fn truth(&self, region: &Region, columns: bool) -> Result<RegionTruth>;
 
-    /// Phases of the full field at every `stride_px`-th pixel; kept for later calls.
+    /// Returns the phases of the full field at every `stride_px`-th pixel, and keeps them for later calls.
     ///
     /// # Errors
-    /// Those of the file.
+    /// Errors of the file.
     fn phases(&self, stride_px: usize) -> Result<Arc<PhaseSamples>>;
 
-    /// Records a view with so many electrons per square Angstrom, of a world that they change. `None` of worlds that stay as they are.
+    /// Records a view with `dose` electrons per square Angstrom in a world that they damage. `None` for worlds that do not change.
     ///
     /// # Errors
     /// As [`BenchmarkWorld::clean`].
@@ -112,7 +112,7 @@ pub trait BenchmarkWorld: Send + Sync {
     }
 }
 
-/// The overview's window about a position: first row and column in a map of this shape.
+/// Returns the first row and column of the overview's window about a position, in a map of this shape.
 pub(super) fn window(position: [f64; 2], shape: [usize; 2], size: usize) -> [usize; 2] {
     [0, 1].map(|k| {
         let centre = position[1 - k].clamp(0.0, 1.0) * shape[k] as f64;

@@ -1,20 +1,20 @@
-//! Things with places, looked up by region.
+//! Items with places, looked up by region.
 
 use std::collections::HashMap;
 
 use crate::recipe::Region;
 
-/// Edge of the cells in which things are looked up, in nm.
+/// Edge of the cells in which items are looked up, in nm.
 const CELL_NM: f64 = 2.5;
 
-/// Things with places, looked up by region.
+/// Items with places, looked up by region.
 #[derive(Debug, Clone)]
 pub struct ByPlace<T> {
     cells: HashMap<[i64; 2], Vec<([f64; 2], T)>>,
 }
 
 impl<T: Clone> ByPlace<T> {
-    /// Things with their places (x, y) in nm.
+    /// Sorts items by their places (x, y) in nm.
     pub fn new(things: impl Iterator<Item = ([f64; 2], T)>) -> Self {
         let mut cells: HashMap<[i64; 2], Vec<([f64; 2], T)>> = HashMap::new();
         for (place, thing) in things {
@@ -23,7 +23,7 @@ impl<T: Clone> ByPlace<T> {
         ByPlace { cells }
     }
 
-    /// Those in a region, in the order in which they were given, cell by cell.
+    /// Returns the items in a region, cell by cell, within a cell in their original order.
     pub fn within(&self, region: &Region) -> Vec<([f64; 2], T)> {
         let range = |[low, high]: [f64; 2]| cell(low)..=cell(high);
         let cells = range(region.y).flat_map(|y| range(region.x).map(move |x| [x, y]));

@@ -1,4 +1,4 @@
-//! A world of a recipe that acquisitions change.
+//! A world of a recipe that acquisitions damage.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -16,9 +16,9 @@ use crate::recipe::Region;
 use crate::resample::MARGIN;
 use crate::world::{Electrons, RecordedPart};
 
-/// A specimen that loses atoms to the electrons that image it, as the table `[damage]` of its recipe says. A view shows the specimen as
-/// it was when its acquisition began, and that is its truth. The overview was taken before. Recordings keep [`MARGIN`] pixels from the
-/// edge of the field.
+/// A specimen that loses atoms to the electrons that image it, by the cross-sections in the table `[damage]` of its recipe. A view shows
+/// the specimen at the beginning of its acquisition; this is also the truth of the view. The overview was taken before the episode.
+/// Recordings stay [`MARGIN`] pixels away from the edge of the field.
 pub struct ChangingWorld {
     facts: FieldFacts,
     still: Arc<RecipeWorld>,
@@ -26,10 +26,10 @@ pub struct ChangingWorld {
 }
 
 impl ChangingWorld {
-    /// The world of a seed, for an episode with these rules.
+    /// Makes the world of a seed, for an episode with these rules.
     ///
     /// # Errors
-    /// Those of [`LiveWorld::new`].
+    /// Errors of [`LiveWorld::new`].
     pub fn new(
         source: &RecipeSource,
         seed: u64,

@@ -1,13 +1,13 @@
-//! The dose-efficiency curve: the score of an agent over the share of its dose budget that it has spent, and numbers made of it.
+//! The dose-efficiency curve: the score of an agent as a function of the spent share of its dose budget, and metrics of the curve.
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Points at which curves are read, from no dose to the whole budget.
+/// Number of points at which curves are sampled, from no dose to the whole budget.
 pub const CHECKPOINTS: usize = 50;
-/// The score of [`DoseMetrics::time_to_threshold`].
+/// Score that [`DoseMetrics::time_to_threshold`] waits for.
 pub const THRESHOLD: f64 = 0.8;
 
 /// Scores of one episode: (share of the budget spent, score), by rising share.
@@ -16,7 +16,7 @@ pub struct DoseCurve {
     records: Vec<[f64; 2]>,
 }
 
-/// One number each for a whole curve.
+/// Metrics of a curve.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DoseMetrics {
     /// DEC-AUC: the area below the curve.
@@ -34,7 +34,7 @@ pub struct DoseMetrics {
 }
 
 impl DoseCurve {
-    /// Notes a score when `share` of the budget is spent.
+    /// Records a score when `share` of the budget is spent.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a share or a score that is not between 0 and 1, or a share below the last one.
@@ -49,13 +49,13 @@ impl DoseCurve {
         Ok(())
     }
 
-    /// All records.
+    /// Returns all records.
     pub fn records(&self) -> &[[f64; 2]] {
         &self.records
     }
 
-    /// The score at a share of the budget: 0 before the first record (nothing was declared yet, so there is no ramp from the origin),
-    /// straight lines between records, and the last one after it. Of several records at one share the last counts.
+    /// Returns the score at a share of the budget: 0 before the first record (nothing was declared yet, so there is no ramp from the
+    /// origin), linear between records, and the last score after the last record. Of several records at one share the last counts.
     pub fn at(&self, share: f64) -> f64 {
         let after = self.records.partition_point(|r| r[0] <= share);
         let Some(before) = after.checked_sub(1) else { return 0.0 };
@@ -66,17 +66,17 @@ impl DoseCurve {
         }
     }
 
-    /// The scores at `count` even points from no dose to the whole budget.
+    /// Returns the scores at `count` even points from no dose to the whole budget.
     pub fn checkpoints(&self, count: usize) -> Vec<f64> {
         (0..count).map(|k| self.at(share_at(k, count))).collect()
     }
 
-    /// All numbers, from [`CHECKPOINTS`] points.
+    /// Computes all metrics from [`CHECKPOINTS`] points.
     pub fn metrics(&self) -> DoseMetrics {
         self.metrics_of(CHECKPOINTS)
     }
 
-    /// The same from another number of points, at least two.
+    /// Computes all metrics from another number of points, at least two.
     pub fn metrics_of(&self, count: usize) -> DoseMetrics {
         let count = count.max(2);
         let scores = self.checkpoints(count);
@@ -97,7 +97,7 @@ impl DoseCurve {
         }
     }
 
-    /// The area up to half the budget, whose end lies between two points where their number is even.
+    /// Computes the area up to half the budget, which lies between two points if their number is even.
     fn first_half(&self, shares: &[f64], scores: &[f64]) -> f64 {
         let within = shares.partition_point(|f| *f < 0.5);
         let at_half = {
@@ -130,7 +130,7 @@ mod tests {
         curve
     }
 
-    /// The STEMGym paper's Raster on particles, and its PPO: right from the first record on, and only at the end.
+    /// The STEMGym paper's Raster on particles is right from the first record on, and its PPO only at the end.
     #[test]
     fn the_numbers_of_the_paper() {
         assert!((curve(&[[0.1, 1.0], [1.0, 1.0]]).metrics().dec_auc - 0.90816).abs() < 5e-6);

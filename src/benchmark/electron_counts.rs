@@ -1,15 +1,15 @@
-//! Electrons that an acquisition counts.
+//! Draws the electrons that an acquisition counts.
 
 use ndarray::Array2;
 use rand_distr::{Distribution, Poisson};
 
 use crate::rng::{ItemRng, Purpose, words};
 
-/// Up to so many expected electrons a count is found by adding up probabilities; beyond, by rejection.
+/// Up to this expected number a count is drawn by adding up probabilities; above it, by rejection.
 const MOST_ADDED: f64 = 40.0;
-/// Counts that are tried; with [`MOST_ADDED`] expected electrons more are less likely than 1e-40.
+/// Largest count that is tried; with [`MOST_ADDED`] expected electrons a greater count is less likely than 1e-40.
 const MOST_TRIED: usize = 256;
-/// 1 / n: a product is quicker than a division.
+/// 1 / n: a product is faster than a division.
 const INVERSE: [f64; MOST_TRIED + 1] = {
     let mut inverse = [0.0; MOST_TRIED + 1];
     let mut n = 1;
@@ -19,10 +19,10 @@ const INVERSE: [f64; MOST_TRIED + 1] = {
     }
     inverse
 };
-/// An image has fewer pixels than 2 to this power.
+/// The number of pixels of an image is below 2 to this power.
 const PIXEL_BITS: u32 = 28;
 
-/// Which acquisition it is. Its numbers depend on nothing else.
+/// Identifies an acquisition. Its random numbers depend on nothing else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AcquisitionKey {
     /// Seed of the episode.
@@ -38,8 +38,8 @@ impl AcquisitionKey {
         u64::from(self.episode) << PIXEL_BITS | pixel as u64
     }
 
-    /// The electrons that are counted in an image of fractions of the beam, [row, column], of which each pixel gets
-    /// `electrons_per_pixel`; divided by these, as fractions of the beam. Two pixels share the four words of one item.
+    /// Draws counts for an image [row, column] in fractions of the beam; each pixel receives `electrons_per_pixel` electrons. Returns the
+    /// counts divided by that number, as fractions of the beam. Two pixels share the four random words of one item.
     pub fn counted(&self, clean: &Array2<f32>, electrons_per_pixel: f64) -> Array2<f32> {
         let mut image = clean.as_standard_layout().into_owned();
         let Some(pixels) = image.as_slice_mut() else { return image };
@@ -58,7 +58,7 @@ impl AcquisitionKey {
         image
     }
 
-    /// A count by the generator of the pixel.
+    /// Draws a count by rejection, with the random generator of the pixel.
     fn rejected(&self, expected: f64, pixel: usize) -> f64 {
         let seed = self.seed ^ u64::from(self.step).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         Poisson::new(expected).map_or(0.0, |poisson| {
@@ -67,13 +67,13 @@ impl AcquisitionKey {
     }
 }
 
-/// The least count whose probability, with those of all smaller ones, is above a uniform number.
+/// Returns the least count whose cumulative probability reaches a uniform number.
 fn inverted(expected: f64, high: u32, low: u32) -> f64 {
     if expected.is_nan() || expected <= 0.0 {
         return 0.0;
     }
     let word = u64::from(high) << 21 ^ u64::from(low) >> 11;
-    // (0, 1), in steps of 2^-53
+    // A number in (0, 1), in steps of 2^-53.
     let uniform = (word as f64 + 0.5) / 9_007_199_254_740_992.0;
     let mut probability = libm::exp(-expected);
     let mut sum = probability;
@@ -92,7 +92,7 @@ mod tests {
 
     const KEY: AcquisitionKey = AcquisitionKey { seed: 3, episode: 1, step: 7 };
 
-    /// Every count comes as often as Poisson's law says, on both sides of the limit of the two methods.
+    /// The frequency of every count follows Poisson's law, on both sides of the limit between the two methods.
     #[test]
     fn counts_follow_poissons_law() {
         for expected in [0.05, 1.3, 9.0, 39.5, 41.0, 300.0] {
@@ -111,7 +111,7 @@ mod tests {
                     bins += 1.0;
                 }
             }
-            // chi^2 has mean `bins` and variance twice that.
+            // Chi^2 has mean `bins` and twice that variance.
             assert!(
                 (chi2 - bins).abs() < 5.0 * (2.0 * bins).sqrt() + 3.0,
                 "{expected}: {chi2} {bins}"

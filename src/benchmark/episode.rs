@@ -1,4 +1,4 @@
-//! An episode: an agent looks where it wants, spends its dose, and says what it found.
+//! An episode: an agent moves the view, spends its dose, and declares its findings.
 
 use std::sync::Arc;
 
@@ -18,49 +18,49 @@ use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::setting::Setting;
 
-/// Budgets are spent to within this share.
+/// A budget counts as kept up to this relative error.
 const ROUNDING: f64 = 1e-9;
 
-/// What an agent does.
+/// An action of an agent.
 #[derive(Debug, Clone, PartialEq)]
 pub enum AgentAction {
-    /// Goes to a place (x, y) in fractions of the field's width and height. It costs nothing.
+    /// Moves to a place (x, y) in fractions of the field's width and height, at no cost.
     Navigate([f64; 2]),
     /// Records the view at the present place.
     Acquire {
-        /// It shows 1 / zoom of a tile's width, at a dose that grows with its square.
+        /// The view shows 1 / zoom of a tile's width; the dose grows with the square of the zoom.
         zoom: f64,
-        /// Times the reference dose.
+        /// Multiple of the reference dose.
         multiplier: f64,
     },
-    /// Says what is known by now of the field, in place of all that was said before.
+    /// Declares the findings in the field, which replace all earlier ones.
     Declare(AgentFindings),
-    /// A declaration that could not be read: what was said before stands.
+    /// A declaration that could not be read: the earlier findings stay.
     Unreadable,
     /// Ends the episode.
     Done,
 }
 
-/// How an episode ended.
+/// Reason for the end of an episode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Ending {
-    /// The agent said so.
+    /// The agent ended it.
     Done,
-    /// An acquisition did not fit the budget any more.
+    /// The cost of an acquisition exceeded the budget.
     Refused,
-    /// There were no steps left.
+    /// No steps were left.
     Horizon,
 }
 
-/// What a step led to.
+/// Result of a step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepOutcome {
-    /// What it pays.
+    /// Reward of the step.
     pub reward: f64,
-    /// How the episode ended, if it did.
+    /// Reason for the end of the episode, if it ended.
     pub ended: Option<Ending>,
-    /// What was recorded.
+    /// The acquisition, if one was made.
     pub acquired: Option<RecordedAcquisition>,
 }
 
@@ -82,17 +82,17 @@ pub struct Episode {
     unreadable: u32,
     acquisitions: Vec<RecordedAcquisition>,
     curve: DoseCurve,
-    /// A record is due before more dose is spent.
+    /// Whether the score has to be recorded before more dose is spent.
     due: bool,
     paid: f64,
     ended: Option<Ending>,
 }
 
 impl Episode {
-    /// Begins at the middle of the field. The noise of acquisitions depends on seed, number and step alone.
+    /// Starts an episode at the middle of the field. The noise of acquisitions depends on seed, number and step alone.
     ///
     /// # Errors
-    /// Those of [`EpisodeSettings::check`] and [`Task::check`], and [`Error::Invalid`] for a field that is smaller than a tile.
+    /// Errors of [`EpisodeSettings::check`] and [`Task::check`], and [`Error::Invalid`] for a field that is smaller than a tile.
     pub fn new(
         world: Arc<dyn BenchmarkWorld>,
         task: Task,
@@ -132,10 +132,10 @@ impl Episode {
         })
     }
 
-    /// Does one thing.
+    /// Carries out one action.
     ///
     /// # Errors
-    /// [`Error::Invalid`] after the end and for numbers that are not finite; those of the world. The episode is then as it was.
+    /// [`Error::Invalid`] after the end and for numbers that are not finite; errors of the world. The episode is then unchanged.
     pub fn act(&mut self, action: AgentAction, progress: &dyn Progress) -> Result<StepOutcome> {
         if self.ended.is_some() {
             let expected = "the episode has ended; begin another one";
@@ -186,7 +186,7 @@ impl Episode {
         Ok(())
     }
 
-    /// `None` where it does not fit the budget.
+    /// Makes an acquisition; `None` if its cost exceeds the budget.
     fn acquire(
         &mut self,
         zoom: f64,
@@ -202,7 +202,7 @@ impl Episode {
         let view = TileView { zoom, ..self.view };
         let electrons_per_pixel = self.settings.electrons_per_pixel(field, multiplier);
         let (tile, truth) = self.recorded(&view, multiplier, electrons_per_pixel, progress)?;
-        // A score of what was seen so far.
+        // The score of everything seen so far is recorded before this view is added.
         if self.due {
             self.note()?;
         }
@@ -226,7 +226,7 @@ impl Episode {
         Ok(Some(what))
     }
 
-    /// The tile of a view, and what was there.
+    /// Returns the tile of a view, and the truth of the view.
     fn recorded(
         &self,
         view: &TileView,
@@ -254,7 +254,7 @@ impl Episode {
         Ok((image, truth))
     }
 
-    /// Notes the score of what was declared so far, if anything was: the curve begins with the first declaration.
+    /// Records the score of the declaration so far, if there is one: the curve begins with the first declaration.
     fn note(&mut self) -> Result<()> {
         self.due = false;
         if self.findings.is_none() {
@@ -272,11 +272,11 @@ impl Episode {
         }
     }
 
-    /// The score of what was declared last, against what was seen so far. It is 0 before the first declaration, and while nothing was
-    /// seen.
+    /// Returns the score of the last declaration against everything seen so far. It is 0 before the first declaration, and before the first
+    /// acquisition.
     ///
     /// # Errors
-    /// Those of the world.
+    /// Errors of the world.
     pub fn score(&self) -> Result<f64> {
         match &self.findings {
             Some(findings) if !self.acquisitions.is_empty() => {
@@ -286,10 +286,10 @@ impl Episode {
         }
     }
 
-    /// Its other forms; `None` where [`Episode::score`] is 0 because nothing was declared or seen.
+    /// Returns all forms of the score; `None` where [`Episode::score`] is 0 because nothing was declared or seen.
     ///
     /// # Errors
-    /// Those of the world.
+    /// Errors of the world.
     pub fn all_scores(&self) -> Result<Option<TaskScore>> {
         match &self.findings {
             Some(findings) if !self.acquisitions.is_empty() => {
@@ -314,35 +314,35 @@ impl Episode {
         }
     }
 
-    /// The world.
+    /// Returns the world.
     pub fn world(&self) -> &Arc<dyn BenchmarkWorld> {
         &self.world
     }
 
-    /// Facts of its field.
+    /// Returns facts of the field.
     pub fn field(&self) -> &FieldFacts {
         self.world.facts()
     }
 
-    /// The rules.
+    /// Returns the rules.
     pub fn settings(&self) -> &EpisodeSettings {
         &self.settings
     }
 
-    /// The task, with the type of defect that it asks for.
+    /// Returns the task, with the type of defect that it asks for.
     pub fn task(&self) -> &Task {
         &self.task
     }
 
-    /// The last tile in units of tiles, [row, column]; zeros before the first.
+    /// Returns the last tile in units of tiles, [row, column]; zeros before the first.
     pub fn tile(&self) -> &Arc<Array2<f32>> {
         &self.tile
     }
 
-    /// The part of the overview about the present place, [row, column], of [`OVERVIEW_PX`] pixels.
+    /// Returns the part of the overview about the present place, [row, column], of [`OVERVIEW_PX`] pixels.
     ///
     /// # Errors
-    /// Those of the world.
+    /// Errors of the world.
     pub fn overview(&self, progress: &dyn Progress) -> Result<Array2<f32>> {
         match self.settings.overview {
             true => self.world.overview(self.position(), OVERVIEW_PX, progress),
@@ -350,32 +350,32 @@ impl Episode {
         }
     }
 
-    /// The present place (x, y) in fractions of the field.
+    /// Returns the present place (x, y) in fractions of the field.
     pub fn position(&self) -> [f64; 2] {
         self.field().position_of(&self.view)
     }
 
-    /// Share of the budget that is left.
+    /// Returns the share of the budget that is left.
     pub fn dose_left(&self) -> f64 {
         (1.0 - self.spent / self.settings.budget).max(0.0)
     }
 
-    /// Electrons per square Angstrom that were spent.
+    /// Returns the electrons per square Angstrom that were spent.
     pub fn spent(&self) -> f64 {
         self.spent
     }
 
-    /// Share of the steps that were made.
+    /// Returns the share of the steps that were made.
     pub fn step_fraction(&self) -> f64 {
         f64::from(self.step) / f64::from(self.settings.horizon)
     }
 
-    /// ReadTiles (row, column) of which something was acquired: 1.
+    /// Returns a map of the tiles (row, column): 1 for tiles in which something was acquired.
     pub fn visited(&self) -> &Array2<u8> {
         &self.visited
     }
 
-    /// Which of navigating, acquiring with the least dose, declaring and ending are of use.
+    /// Returns whether navigating, acquiring with the least dose, declaring and ending have any effect now.
     pub fn mask(&self) -> [bool; 4] {
         let going = self.ended.is_none();
         let least = EpisodeSettings::cost(ZOOM[0], MULTIPLIER[0]);
@@ -383,20 +383,20 @@ impl Episode {
         [going, going && fits, going, going]
     }
 
-    /// Whether and how it has ended.
+    /// Returns the reason for the end, if the episode has ended.
     pub fn ended(&self) -> Option<Ending> {
         self.ended
     }
 
-    /// The truth of what was seen.
+    /// Returns the truth of everything seen.
     pub fn seen(&self) -> &SeenTruth {
         &self.seen
     }
 
-    /// What an agent that knows the truth would declare of what was seen. Phases are known there only.
+    /// Returns the findings that an agent with the truth of everything seen would declare. Phases are known there only.
     ///
     /// # Errors
-    /// Those of the world.
+    /// Errors of the world.
     pub fn truth_seen(&self) -> Result<AgentFindings> {
         let seen = &self.seen;
         let phases = match self.phases()? {
@@ -413,20 +413,20 @@ impl Episode {
         })
     }
 
-    /// Declarations that could not be read.
+    /// Returns the number of declarations that could not be read.
     pub fn unreadable(&self) -> u32 {
         self.unreadable
     }
 
-    /// Acquisitions so far.
+    /// Returns the acquisitions so far.
     pub fn acquisitions(&self) -> &[RecordedAcquisition] {
         &self.acquisitions
     }
 
-    /// What was done so far, and its scores.
+    /// Returns the record of the episode so far, with its scores.
     ///
     /// # Errors
-    /// Those of the world.
+    /// Errors of the world.
     pub fn record(&self) -> Result<EpisodeRecord> {
         let counts = (self.declared, self.unreadable, self.step);
         Ok(EpisodeRecord {
@@ -448,7 +448,7 @@ impl Episode {
     }
 }
 
-/// Zoom and multiplier, moved into their limits.
+/// Moves zoom and multiplier into their limits.
 fn within(values: [f64; 2]) -> Result<[f64; 2]> {
     if !values.iter().all(|v| v.is_finite()) {
         let expected = "zoom and dose are finite numbers";

@@ -1,4 +1,4 @@
-//! What is kept of an episode.
+//! The record of an episode.
 
 use serde::Serialize;
 
@@ -14,26 +14,26 @@ pub struct RecordedAcquisition {
     pub step: u32,
     /// The tile (row, column) whose middle is nearest.
     pub tile: [usize; 2],
-    /// Its middle (x, y) in nm from the centre of the field's first pixel.
+    /// Middle (x, y) of the acquisition in nm from the centre of the field's first pixel.
     pub centre_nm: [f64; 2],
-    /// Its edge in nm.
+    /// Edge of the acquisition in nm.
     pub size_nm: f64,
     /// Zoom.
     pub zoom: f64,
-    /// Times the reference dose.
+    /// Multiple of the reference dose.
     pub multiplier: f64,
-    /// What it took of the budget, in electrons per square Angstrom.
+    /// Cost in the budget, in electrons per square Angstrom.
     pub cost: f64,
     /// Electrons on a pixel.
     pub electrons_per_pixel: f64,
 }
 
-/// An episode.
+/// The record of an episode.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct EpisodeRecord {
     /// Name of the world.
     pub world: String,
-    /// What was asked for.
+    /// The task.
     pub task: Task,
     /// The rules.
     pub settings: EpisodeSettings,
@@ -41,19 +41,19 @@ pub struct EpisodeRecord {
     pub seed: u64,
     /// Number of the episode under this seed.
     pub episode: u32,
-    /// How it ended, if it did.
+    /// Reason for the end of the episode, if it ended.
     pub ended: Option<Ending>,
-    /// Steps that were made.
+    /// Number of steps that were made.
     pub steps: u32,
-    /// Declarations.
+    /// Number of declarations.
     pub declared: u32,
-    /// Declarations that could not be read.
+    /// Number of declarations that could not be read.
     pub unreadable: u32,
-    /// Electrons per square Angstrom.
+    /// Spent dose in electrons per square Angstrom.
     pub spent: f64,
-    /// (share of the budget, score).
+    /// The curve: (share of the budget, score).
     pub curve: Vec<[f64; 2]>,
-    /// Numbers made of the curve.
+    /// Metrics of the curve.
     pub metrics: DoseMetrics,
     /// Scores of the last declaration in all forms.
     pub scores: Option<TaskScore>,

@@ -6,72 +6,72 @@ use super::view::FieldFacts;
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Dose of an acquisition without zoom and with the multiplier 1, as the budget counts it, in electrons per square Angstrom.
+/// Dose of an acquisition without zoom and with the multiplier 1 in the budget, in electrons per square Angstrom.
 pub const REFERENCE_DOSE: f64 = 100.0;
 /// The paper's budget in electrons per square Angstrom.
 pub const BUDGET: f64 = 5000.0;
 /// The paper's number of steps.
 pub const HORIZON: u32 = 200;
-/// The score is noted after every so many acquisitions.
+/// The score is recorded after each group of this many acquisitions.
 pub const CADENCE: u32 = 5;
 /// Limits of the zoom.
 pub const ZOOM: [f64; 2] = [1.0, 8.0];
 /// Limits of the dose multiplier.
 pub const MULTIPLIER: [f64; 2] = [0.1, 10.0];
-/// Edge of the part of the overview that is shown, in its pixels.
+/// Edge of the part of the overview that is shown, in pixels of the overview.
 pub const OVERVIEW_PX: usize = 64;
 
-/// How many electrons a pixel gets.
+/// Dose of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TileDose {
-    /// The dose of the world's tier times the multiplier, whatever the zoom: the paper's tiles.
+    /// The dose of the world's tier times the multiplier, at any zoom, as in the paper's tiles.
     #[default]
     Tier,
-    /// The dose that the budget counts.
+    /// The dose that is charged to the budget.
     Physical,
 }
 
-/// Where the noise of tiles comes from.
+/// Origin of the noise of tiles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TileNoise {
-    /// Electrons are counted anew in each acquisition.
+    /// Electrons are drawn anew in each acquisition.
     Poisson,
-    /// Tiles are shown as the world holds them, whatever the dose.
+    /// Tiles are shown as the world holds them, at any dose.
     Stored,
 }
 
-/// What a step pays.
+/// Reward of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reward {
-    /// Nothing.
+    /// No reward.
     #[default]
     None,
-    /// The change of the score by each acquisition and declaration: the final score in sum.
+    /// The change of the score by each acquisition and declaration; the sum is the final score.
     ScoreGain,
-    /// The final score at the end.
+    /// The final score, at the end.
     Sparse,
 }
 
-/// The rules.
+/// The rules of an episode.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeSettings {
     /// Dose that may be spent, in electrons per square Angstrom.
     pub budget: f64,
     /// Number of steps.
     pub horizon: u32,
-    /// Acquisitions from one record of the score to the next.
+    /// Number of acquisitions between two records of the score.
     pub cadence: u32,
-    /// How many electrons a pixel gets.
+    /// Dose of a pixel.
     pub exposure: TileDose,
-    /// Where the noise comes from.
+    /// Origin of the noise.
     pub noise: TileNoise,
-    /// What a step pays.
+    /// Reward of a step.
     pub reward: Reward,
-    /// Pixels from one to the next at which phases are compared, along each axis: 1 compares all. With 8 (those of the overview) the
-    /// score of a map in parts as large as tiles changes by less than 0.002.
+    /// Distance in pixels, along each axis, of the samples at which phases are compared; 1 compares all pixels. With 8 (as in the overview)
+    /// the score of a map in parts as large as tiles changes by less than 0.002.
     pub phase_stride_px: usize,
     /// Show the overview.
     pub overview: bool,
@@ -93,10 +93,10 @@ impl Default for EpisodeSettings {
 }
 
 impl EpisodeSettings {
-    /// Whether the rules make sense for a field.
+    /// Checks the rules for a field.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for values out of limits, and noise that the world has not.
+    /// [`Error::Invalid`] for values out of limits, and for noise that the world does not have.
     pub fn check(&self, field: &FieldFacts) -> Result<()> {
         let refuse = |value: String, expected: &str| {
             Err(Error::invalid(Setting::Episode, value, expected.to_owned()))
@@ -124,12 +124,12 @@ impl EpisodeSettings {
         Ok(())
     }
 
-    /// What an acquisition costs, in electrons per square Angstrom.
+    /// Returns the cost of an acquisition, in electrons per square Angstrom.
     pub fn cost(zoom: f64, multiplier: f64) -> f64 {
         REFERENCE_DOSE * multiplier * zoom * zoom
     }
 
-    /// Dose of a pixel of a field without zoom, with the multiplier 1.
+    /// Returns the dose of a pixel of a field without zoom, with the multiplier 1.
     pub fn dose(&self, field: &FieldFacts) -> f64 {
         match self.exposure {
             TileDose::Tier => field.dose,
@@ -137,12 +137,12 @@ impl EpisodeSettings {
         }
     }
 
-    /// The dose of a place that gets the whole budget, in electrons per square Angstrom.
+    /// Returns the dose of a place that receives the whole budget, in electrons per square Angstrom.
     pub fn most_dose(&self, field: &FieldFacts) -> f64 {
         self.dose(field) * self.budget / REFERENCE_DOSE
     }
 
-    /// Electrons on a pixel of an acquisition. With a zoom a pixel is smaller, and the dose greater by as much.
+    /// Returns the electrons on a pixel of an acquisition. With a zoom the pixel is smaller and the dose greater by the same factor.
     pub fn electrons_per_pixel(&self, field: &FieldFacts, multiplier: f64) -> f64 {
         self.dose(field) * multiplier * (10.0 * field.pixel_nm).powi(2)
     }

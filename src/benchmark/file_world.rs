@@ -23,17 +23,17 @@ use crate::specimen::SiteKind;
 use crate::world::BuildOptions;
 use crate::world::noise_free::band_limit;
 
-/// What files of recorded data say of their source.
+/// Word in the `source` of files of recorded data.
 const REPLAY: &str = "replay";
-/// Rows of pixels of the phase map that are read at a time.
+/// Number of rows of the phase map that are read at a time.
 const PHASE_ROWS: usize = 256;
 
 /// Tiles read so far, by \[row, column\].
 type ReadTiles = MadeOnce<[usize; 2], Array2<f32>>;
 
-/// A world file. What was read once is kept.
+/// A world file. Everything that was read is kept.
 ///
-/// Images between pixels, and those of files without a noise-free image, are made anew from the recipe in the file.
+/// Images between pixels, and images of files without a noise-free image, are simulated from the recipe in the file.
 pub struct FileWorld {
     file: Mutex<WorldFile>,
     facts: FieldFacts,
@@ -45,17 +45,17 @@ pub struct FileWorld {
     defects: ByPlace<SiteKind>,
     columns: OnceLock<ByPlace<bool>>,
     particles: Vec<FoundParticle>,
-    /// By the distance of the samples in pixels.
+    /// Phases, by the distance of the samples in pixels.
     phases: MadeOnce<usize, PhaseSamples>,
-    /// The same specimen, made from the recipe.
+    /// The specimen, made again from the recipe.
     again: MadeOnce<(), RecipeWorld>,
 }
 
 impl FileWorld {
-    /// Reads the overview and the defects of a file. `options` say how images are made that it does not hold.
+    /// Reads the overview and the defects of a file. `options` describe how images that the file does not hold are simulated.
     ///
     /// # Errors
-    /// Those of the file.
+    /// Errors of the file.
     pub fn open(path: &Path, options: &BuildOptions) -> Result<Self> {
         let file = WorldFile::open(path)?;
         let mut sites: Vec<([f64; 2], SiteKind)> = Vec::new();
@@ -96,7 +96,7 @@ impl FileWorld {
         read(&self.file.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Pixels of the stored tiles, or of the noise-free ones.
+    /// Returns pixels of the stored tiles, or of the noise-free ones.
     fn stitched(
         &self,
         clean: bool,
@@ -146,7 +146,7 @@ impl FileWorld {
         })
     }
 
-    /// Phases of every `stride_px`-th pixel.
+    /// Reads the phases of every `stride_px`-th pixel.
     fn read_phases(&self, stride_px: usize) -> Result<PhaseSamples> {
         let [height, width] = self.facts.shape_px();
         let shape = PhaseSamples::shape([height, width], stride_px);
@@ -168,7 +168,7 @@ impl FileWorld {
         Ok(PhaseSamples { phases, stride_px })
     }
 
-    /// The same specimen, made anew.
+    /// Returns the specimen, made again from the recipe.
     fn again(&self, progress: &dyn Progress) -> Result<Arc<RecipeWorld>> {
         self.again.get((), || {
             let text = self.with_file(|file| {
@@ -183,7 +183,7 @@ impl FileWorld {
         })
     }
 
-    /// A view between the pixels of an image.
+    /// Interpolates a view between the pixels of an image.
     fn between(
         &self,
         view: &TileView,
@@ -205,7 +205,7 @@ impl FileWorld {
     }
 }
 
-/// Values between pixels; the raster counts in pixels.
+/// Interpolates values between pixels; the raster counts in pixels.
 fn interpolated(values: &Array2<f32>, raster: &TurnedRaster, kernel: &Kernel) -> Array2<f32> {
     let (height, width) = values.dim();
     let weights = |n: usize, axis: usize, of: usize| {
@@ -216,7 +216,7 @@ fn interpolated(values: &Array2<f32>, raster: &TurnedRaster, kernel: &Kernel) ->
     };
     let along_x: Vec<_> = (0..raster.shape[1]).map(|n| weights(n, 1, width)).collect();
     let along_y: Vec<_> = (0..raster.shape[0]).map(|n| weights(n, 0, height)).collect();
-    // First along rows, then along columns.
+    // Rows are interpolated first, then columns.
     let lines = Array2::from_shape_fn((height, raster.shape[1]), |(i, j)| {
         let w = &along_x[j];
         let first = w.first as usize;
@@ -235,7 +235,7 @@ fn recipe(text: &str) -> Result<CheckedRecipe> {
     Recipe::from_toml_str("the recipe of the world", text, None)?.checked()
 }
 
-/// What the file says of its field.
+/// Collects the facts of the field from the file.
 fn facts(path: &Path, file: &WorldFile, sites: &[([f64; 2], SiteKind)]) -> Result<FieldFacts> {
     let m = file.metadata();
     let kinds = [SiteKind::Vacancy, SiteKind::Substitution];
@@ -296,7 +296,7 @@ impl BenchmarkWorld for FileWorld {
         if view.zoom == 1.0 {
             return self.stitched(false, row..row + size, column..column + size);
         }
-        // Noise has all frequencies: nothing is sharper than its pixels.
+        // Noise has all frequencies, so the kernel passes everything up to the Nyquist frequency of the pixels.
         let kernel = Kernel::new(1.0, 0.5)?;
         let image = self.between(view, &kernel, |r, c| self.stitched(false, r, c))?;
         Ok(image.mapv(|v| v.clamp(0.0, 1.0)))

@@ -1,4 +1,4 @@
-//! What agents declare, and what the truth says, in the same form.
+//! Findings that agents declare, and the truth in the same form.
 
 use std::collections::BTreeMap;
 
@@ -13,13 +13,13 @@ use crate::specimen::SiteKind;
 /// A defect at a place.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PlacedDefect {
-    /// Its type: `vacancy`, `substitution`.
+    /// Type of the defect: `vacancy`, `substitution`.
     pub kind: String,
-    /// (x, y) in nm from the centre of pixel (0, 0) of the field.
+    /// Position (x, y) in nm from the centre of pixel (0, 0) of the field.
     pub position_nm: [f64; 2],
 }
 
-/// The name of a type of defect; `None` for the atom that belongs there.
+/// Returns the name of a type of defect; `None` for the atom that belongs there.
 pub fn type_name(kind: SiteKind) -> Option<&'static str> {
     match kind {
         SiteKind::Pristine => None,
@@ -31,31 +31,32 @@ pub fn type_name(kind: SiteKind) -> Option<&'static str> {
 /// A particle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FoundParticle {
-    /// (x, y) of its centre in nm from the centre of pixel (0, 0) of the field.
+    /// Centre (x, y) in nm from the centre of pixel (0, 0) of the field.
     pub position_nm: [f64; 2],
     /// Diameter in nm.
     pub diameter_nm: f64,
-    /// Its shape: `icosahedron`.
+    /// Shape: `icosahedron`.
     pub morphology: String,
 }
 
-/// An atomic column, and how sure it is that it holds a defect.
+/// An atomic column, and the agent's confidence that it holds a defect.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FoundColumn {
-    /// (x, y) in nm from the centre of pixel (0, 0) of the field.
+    /// Position (x, y) in nm from the centre of pixel (0, 0) of the field.
     pub position_nm: [f64; 2],
-    /// Any number that is greater where a defect is more likely.
+    /// Confidence: any number, greater where a defect is more likely.
     pub score: f64,
 }
 
-/// All that an agent says of a field so far. What it leaves empty it says is not there; what a task does not ask for is not looked at.
+/// All findings of an agent in a field so far. An empty list says that nothing is there; a task ignores the lists that it does not ask for.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct AgentFindings {
-    /// Number of defects by type; those of `defects` when `None`.
+    /// Number of defects by type; `None` counts the entries of `defects`.
     pub counts: Option<BTreeMap<String, u64>>,
-    /// Defects with their places; `None` gives none, and counts alone are scored.
+    /// Defects with their places; with `None` only counts are scored.
     pub defects: Option<Vec<PlacedDefect>>,
-    /// Phases of the whole field in equal parts, [row, column]; [`NO_PHASE`] where there is no prediction. `None` says that there is one.
+    /// Phases of the whole field in equal parts, [row, column]; [`NO_PHASE`] where there is no prediction. `None` says that there is one
+    /// phase.
     pub phases: Option<Array2<i32>>,
     /// Particles.
     pub particles: Vec<FoundParticle>,
@@ -74,12 +75,12 @@ struct FindingsText {
     defects: Option<BTreeMap<String, Vec<[f64; 2]>>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     phases: Option<Vec<Vec<i32>>>,
-    /// x, y, diameter.
+    /// x, y and diameter in nm.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     particles: Vec<[f64; 3]>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     morphologies: Vec<String>,
-    /// x, y, score.
+    /// x, y and score.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     columns: Vec<[f64; 3]>,
 }
@@ -93,10 +94,10 @@ impl AgentFindings {
     /// rows), `particles` ([x, y, diameter] in nm), `morphologies` (one for each particle) and `columns` ([x, y, score]).
     ///
     /// # Errors
-    /// [`Error::Invalid`] for text that is no such object.
+    /// [`Error::Invalid`] for text that is no JSON object of findings.
     pub fn read(report: &str) -> Result<Self> {
         if !report.trim_start().starts_with('{') {
-            // A list would be taken for its values in order.
+            // Serde would read a list as the values of the object in order.
             return Err(refuse("the report", "is no JSON object of findings"));
         }
         let report: FindingsText = serde_json::from_str(report)
@@ -135,7 +136,7 @@ impl AgentFindings {
         Ok(findings)
     }
 
-    /// The text that [`AgentFindings::read`] reads.
+    /// Writes the text that [`AgentFindings::read`] reads.
     pub fn report(&self) -> String {
         let defects = self.defects.as_ref().map(|list| {
             let mut of: BTreeMap<String, Vec<[f64; 2]>> = BTreeMap::new();
@@ -154,7 +155,7 @@ impl AgentFindings {
         serde_json::to_string(&report).unwrap_or_default()
     }
 
-    /// All numbers finite, and maps not empty.
+    /// Checks that all numbers are finite, and that maps are not empty.
     ///
     /// # Errors
     /// [`Error::Invalid`] otherwise.
@@ -181,13 +182,13 @@ impl AgentFindings {
         }
     }
 
-    /// Numbers of defects by type.
+    /// Returns the number of defects of each type.
     pub fn defect_counts(&self) -> BTreeMap<String, u64> {
         self.counts.clone().unwrap_or_else(|| counted(self.defects.iter().flatten()))
     }
 }
 
-/// Numbers of defects by type.
+/// Counts the defects of each type.
 pub fn counted<'a>(defects: impl Iterator<Item = &'a PlacedDefect>) -> BTreeMap<String, u64> {
     let mut counts: BTreeMap<String, u64> = BTreeMap::new();
     for defect in defects {

@@ -1,8 +1,8 @@
-//! Things that several users share while one of them has them.
+//! Shared values, kept alive only while somebody uses them (weak references).
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
-/// A list of those. What nobody has any more is made anew.
+/// A list of shared values by key. A value that nobody uses any more is made anew.
 #[derive(Debug)]
 pub struct InUse<K, T>(Mutex<Vec<(K, Weak<T>)>>);
 
@@ -13,7 +13,7 @@ impl<K, T> Default for InUse<K, T> {
 }
 
 impl<K, T> InUse<K, T> {
-    /// An empty list.
+    /// Makes an empty list.
     pub const fn new() -> Self {
         InUse(Mutex::new(Vec::new()))
     }
@@ -24,10 +24,11 @@ impl<K, T> InUse<K, T> {
 }
 
 impl<K: PartialEq, T> InUse<K, T> {
-    /// What somebody has by that key, or else what `make` makes. Two that ask for the same at once may each make one.
+    /// Returns the value of a key that is in use, or else the value that `make` makes. Two simultaneous calls with one key may each make
+    /// one.
     ///
     /// # Errors
-    /// Those of `make`.
+    /// Errors of `make`.
     pub fn get<E>(&self, key: K, make: impl FnOnce() -> Result<T, E>) -> Result<Arc<T>, E> {
         let alive = |(other, it): &(K, Weak<T>)| (*other == key).then(|| it.upgrade()).flatten();
         let found = self.all().iter().find_map(alive);

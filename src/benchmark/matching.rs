@@ -1,8 +1,8 @@
-//! Pairs of places that are found and places that are true: one to one, none farther apart than a limit.
+//! Pairs found places with true places: one to one, and none farther apart than a limit.
 
 use std::collections::HashMap;
 
-/// For each found place the true ones within `radius_nm`, nearest first.
+/// Returns, for each found place, the true places within `radius_nm`, nearest first.
 fn neighbours(found: &[[f64; 2]], truth: &[[f64; 2]], radius_nm: f64) -> Vec<Vec<(usize, f64)>> {
     let cell = |p: &[f64; 2]| p.map(|v| (v / radius_nm).floor() as i64);
     let mut cells: HashMap<[i64; 2], Vec<usize>> = HashMap::new();
@@ -22,8 +22,8 @@ fn neighbours(found: &[[f64; 2]], truth: &[[f64; 2]], radius_nm: f64) -> Vec<Vec
     found.iter().map(near).collect()
 }
 
-/// The greatest number of pairs of a found and a true place (x, y in nm) within `radius_nm` of each other, no place in two of them
-/// (augmenting paths after A. Pothen and C.-J. Fan, ACM Trans. Math. Softw. 16, 303 (1990)). Places have to be finite, and
+/// Returns the greatest number of pairs of a found and a true place (x, y in nm) within `radius_nm` of each other, with each place in at
+/// most one pair (augmenting paths after A. Pothen and C.-J. Fan, ACM Trans. Math. Softw. 16, 303 (1990)). Places must be finite, and
 /// `radius_nm` above 0.
 pub fn most_pairs(found: &[[f64; 2]], truth: &[[f64; 2]], radius_nm: f64) -> usize {
     let mut pairs = Pairs { of_found: vec![None; found.len()], of_truth: vec![None; truth.len()] };
@@ -48,14 +48,14 @@ pub fn most_pairs(found: &[[f64; 2]], truth: &[[f64; 2]], radius_nm: f64) -> usi
     }
 }
 
-/// True places, from which those near a found one are taken.
+/// True places in a grid; places near a found one are removed from it one by one.
 struct PlaceGrid<'a> {
     truth: &'a [[f64; 2]],
     radius_nm: f64,
     cells: HashMap<[i64; 2], Vec<usize>>,
 }
 
-/// Cells of the grid along a radius: all places of a cell are then within the radius of each other.
+/// Number of cells along a radius: all places of a cell are then within the radius of each other.
 const CELLS: i64 = 2;
 
 impl<'a> PlaceGrid<'a> {
@@ -68,12 +68,12 @@ impl<'a> PlaceGrid<'a> {
     }
 
     fn cell(&self, place: &[f64; 2]) -> [i64; 2] {
-        // Slightly wider, so that rounding puts no place that is just within the radius into a cell beyond.
+        // The edge is slightly wider, so that rounding puts no place within the radius into a cell beyond.
         let edge_nm = self.radius_nm * (1.0 + 1e-9) / CELLS as f64;
         place.map(|v| (v / edge_nm).floor() as i64)
     }
 
-    /// One that is within the radius, which is then no longer there. Its own cell comes first.
+    /// Removes and returns a true place within the radius. The cell of the found place is searched first.
     fn take(&mut self, place: &[f64; 2]) -> Option<usize> {
         let [x, y] = self.cell(place);
         let rings = 0..=CELLS;
@@ -95,7 +95,7 @@ impl<'a> PlaceGrid<'a> {
     }
 }
 
-/// Which is paired with which.
+/// The partner of each found and each true place.
 struct Pairs {
     of_found: Vec<Option<usize>>,
     of_truth: Vec<Option<usize>>,
@@ -106,15 +106,15 @@ impl Pairs {
         (self.of_found[n], self.of_truth[t]) = (Some(t), Some(n));
     }
 
-    /// Pairs `start` along a path of places that change their partners, if there is one. True places that were tried lead nowhere in
-    /// this round, and are taken from the grid. Without recursion: paths may be as long as the lists.
+    /// Pairs `start` along a path of places that change their partners, if there is such a path. True places that were tried lead nowhere
+    /// in this round, and are removed from the grid. The search is not recursive, since paths may be as long as the lists.
     fn augment(
         &mut self,
         start: usize,
         found: &[[f64; 2]],
         (free, untried): (&mut PlaceGrid<'_>, &mut PlaceGrid<'_>),
     ) -> bool {
-        // Found places, and the true ones that they would change to; the last has none yet.
+        // Found places, and the true places that they would change to; the last found place has none yet.
         let (mut path, mut changes) = (vec![start], Vec::new());
         while let Some(&n) = path.last() {
             if let Some(t) = free.take(&found[n]) {
@@ -138,8 +138,8 @@ impl Pairs {
     }
 }
 
-/// The pairs (found, true) of the greatest number of them whose distances have the least sum. The time grows with the cube of the
-/// number of places that hang together by such distances.
+/// Returns the pairs (found, true): as many as possible, and among these with the least sum of distances. The time grows with the cube of
+/// the number of places that are connected by distances within the radius.
 pub fn nearest_pairs(found: &[[f64; 2]], truth: &[[f64; 2]], radius_nm: f64) -> Vec<[usize; 2]> {
     let mut all = Vec::new();
     for [founds, truths] in groups(&neighbours(found, truth, radius_nm), truth.len()) {
@@ -149,7 +149,7 @@ pub fn nearest_pairs(found: &[[f64; 2]], truth: &[[f64; 2]], radius_nm: f64) -> 
         let near = neighbours(&at(&founds, found), &at(&truths, truth), radius_nm);
         let mut pairs =
             Pairs { of_found: vec![None; founds.len()], of_truth: vec![None; truths.len()] };
-        // Successive shortest paths, from found places without a pair to true ones without.
+        // Successive shortest paths, from found places without a pair to true places without one.
         while let Some(path) = shortest_path(&pairs, &near) {
             path.into_iter().for_each(|[n, t]| pairs.join(n, t));
         }
@@ -160,7 +160,7 @@ pub fn nearest_pairs(found: &[[f64; 2]], truth: &[[f64; 2]], radius_nm: f64) -> 
     all
 }
 
-/// Found places with the true ones that hang together with them, each in ascending order.
+/// Returns the groups of found and true places that are connected within the radius, each in ascending order.
 fn groups(near: &[Vec<(usize, f64)>], truths: usize) -> Vec<[Vec<usize>; 2]> {
     let mut near_truth = vec![Vec::new(); truths];
     for (n, list) in near.iter().enumerate() {
@@ -191,7 +191,7 @@ fn groups(near: &[Vec<(usize, f64)>], truths: usize) -> Vec<[Vec<usize>; 2]> {
     groups
 }
 
-/// The pairs of the path that makes one pair more at the least cost (Bellman and Ford).
+/// Returns the pairs of the path that adds one pair at the least cost (Bellman and Ford).
 fn shortest_path(pairs: &Pairs, near: &[Vec<(usize, f64)>]) -> Option<Vec<[usize; 2]>> {
     let mut to_found: Vec<f64> =
         pairs.of_found.iter().map(|p| if p.is_none() { 0.0 } else { f64::INFINITY }).collect();
@@ -238,17 +238,17 @@ mod tests {
         assert_eq!(most_pairs(&[[0.0, 0.1], [0.1, 0.0]], &truth, 1.0), 1);
         assert_eq!(most_pairs(&[[3.0, 0.0]], &truth, 1.0), 0);
         assert_eq!(most_pairs(&[], &truth, 1.0), 0);
-        // The nearer pair first would leave the other alone.
+        // Taking the nearer pair first would leave the other two without a pair.
         let (found, truth) = ([[0.0, 0.0], [1.0, 0.0]], [[0.9, 0.0], [1.9, 0.0]]);
         assert_eq!(most_pairs(&found, &truth, 1.0), 2);
         assert_eq!(nearest_pairs(&found, &truth, 1.0), [[0, 0], [1, 1]]);
-        // Edges belong to the circle, on both sides of a cell.
+        // Places at exactly the radius count, on both sides of a cell.
         assert_eq!(most_pairs(&[[-1.0, 0.0]], &[[0.0, 0.0]], 1.0), 1);
     }
 
     #[test]
     fn no_other_pairing_has_more_pairs() {
-        // Flows by the plainest way: one augmenting path after the other through a matrix of neighbours.
+        // Reference by the simplest method: one augmenting path after the other through a matrix of neighbours.
         fn plain(
             near: &[Vec<bool>],
             n: usize,

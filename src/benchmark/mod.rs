@@ -1,8 +1,8 @@
-//! The benchmark: agents act in a world under a dose budget, and what they found is scored against the truth and against the dose.
+//! The benchmark: agents act in a world under a dose budget, and their findings are scored against the truth and against the dose.
 //!
-//! An [`Episode`] lets an agent look, spend dose and say what it found, in a [`BenchmarkWorld`]: a world file, or a specimen of a recipe
-//! that is on no disk. Four tasks have a score from 0 to 1 ([`task_scores`]); [`dose_efficiency`] makes one number of the scores of an
-//! episode. Tasks and rules are those of the STEMGym paper; where it leaves something open, the item says what was chosen.
+//! In an [`Episode`] an agent looks, spends dose and declares its findings, in a [`BenchmarkWorld`]: a world file, or a specimen of a
+//! recipe without a file. Each of four tasks has a score from 0 to 1 ([`task_scores`]); [`dose_efficiency`] combines the scores of an
+//! episode. Tasks and rules follow the STEMGym paper; where the paper leaves something open, the item documents the choice.
 
 pub mod benchmark_world;
 #[cfg(feature = "hdf5")]

@@ -1,31 +1,31 @@
-//! The blocks in which the overview of a world of a recipe is made.
+//! Divides the overview of a recipe's world into blocks that are made on demand.
 
 use std::ops::Range;
 
 use super::benchmark_world::window;
 use super::episode_settings::OVERVIEW_PX;
 
-/// Edge of a block in pixels of the overview. Larger blocks ask less often for columns beyond their edges, smaller ones make less that
-/// is not shown.
+/// Edge of a block in pixels of the overview. Larger blocks query fewer columns beyond their edges; smaller blocks make fewer pixels that
+/// are not shown.
 const BLOCK_PX: usize = OVERVIEW_PX / 2;
 
-/// Blocks that cover an overview, placed so that the window where episodes begin is made of whole ones.
+/// Blocks that cover an overview. The window at the beginning of an episode consists of whole blocks.
 #[derive(Debug, Clone, Copy)]
 pub struct OverviewBlocks {
     shape: [usize; 2],
-    /// Pixels of the first block along each axis; it may be smaller than the others, or empty.
+    /// Pixels of the first block along each axis; the first block may be smaller than the others, or empty.
     first_px: [usize; 2],
 }
 
 impl OverviewBlocks {
-    /// For an overview of so many pixels, [rows, columns], which is looked at about `start` first: a position (x, y) in fractions of
-    /// the field.
+    /// Divides an overview of `shape` pixels, [rows, columns]. `start` is the position (x, y), in fractions of the field, that is shown
+    /// first.
     pub fn new(shape: [usize; 2], start: [f64; 2]) -> Self {
         let first_px = window(start, shape, OVERVIEW_PX).map(|n| n % BLOCK_PX);
         OverviewBlocks { shape, first_px }
     }
 
-    /// The blocks, [row, column], that hold a rectangle of pixels, [rows, columns].
+    /// Returns the blocks, [row, column], that cover a rectangle of pixels, [rows, columns].
     pub fn covering(&self, [rows, columns]: [Range<usize>; 2]) -> Vec<[usize; 2]> {
         let along = |k: usize, px: Range<usize>| {
             let block = |n: usize| (n + BLOCK_PX - self.first_px[k]) / BLOCK_PX;
@@ -35,7 +35,7 @@ impl OverviewBlocks {
         along(0, rows).flat_map(|r| columns.clone().map(move |c| [r, c])).collect()
     }
 
-    /// The pixels of a block, [rows, columns].
+    /// Returns the pixels of a block, [rows, columns].
     pub fn pixels(&self, block: [usize; 2]) -> [Range<usize>; 2] {
         [0, 1].map(|k| {
             let end = block[k] * BLOCK_PX + self.first_px[k];

@@ -1,4 +1,4 @@
-//! Worlds of a recipe that are on no disk: a specimen for each seed, imaged where it is looked at.
+//! Worlds of a recipe without a file: a specimen for each seed, imaged only where an agent looks.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -25,19 +25,19 @@ use crate::world::noise_free::band_limit;
 use crate::world::region_truth::{list, phases_of_points};
 use crate::world::{BuildOptions, ColumnTruth, SiteTruth};
 
-/// Above this share of an image's band limit there is less than 0.01 % of its power (see [`crate::resample::Kernel`]).
+/// Above this share of its band limit an image has less than 0.01 % of its power (see [`crate::resample::Kernel`]).
 const HIGHEST_SHARE: f64 = 0.9;
-/// Images of views that a world keeps.
+/// Number of images of views that a world keeps.
 const KEPT_VIEWS: usize = 512;
-/// Places of a field, or particles, at which the brightest pixel is looked for.
+/// Number of places of a field, or of particles, at which the brightest pixel is searched.
 const SCALED_PLACES: usize = 5;
-/// Edge in pixels of the part of a particle in which the brightest pixel is looked for, in one phonon configuration: wider than columns
-/// are apart.
+/// Edge in pixels of the part of a particle in which the brightest pixel is searched, in one phonon configuration: wider than the distance
+/// of columns.
 const PARTICLE_PX: usize = 24;
-/// What is brighter than the brightest pixel of these places by more than this share is cut off.
+/// Factor between the brightest pixel of these places and the value at which tiles are clipped.
 const HEADROOM: f64 = 1.2;
 
-/// Which seeds specimens are made of: none is in both, so that nobody trains on what is scored.
+/// Two sets of seeds for specimens. No seed is in both, so that no agent is trained on specimens that are scored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Split {
     /// For training: even seeds.
@@ -48,17 +48,17 @@ pub enum Split {
 }
 
 impl Split {
-    /// The seed of the specimen of an episode (seed, number) of a recipe.
+    /// Returns the seed of the specimen of an episode (seed, number) of a recipe.
     pub fn seed(self, recipe: &Recipe, (seed, number): (u64, u32)) -> u64 {
         let pair = |[low, high, ..]: [u32; 4]| u64::from(high) << 32 | u64::from(low);
         let episode = pair(words(seed, Purpose::HeldOut, EPISODE_DRAW, u64::from(number)));
         let drawn = pair(words(recipe.seed, Purpose::HeldOut, self as u32, episode));
-        // TOML holds signed numbers.
+        // Numbers in TOML are signed.
         drawn >> 2 << 1 | self as u64
     }
 }
 
-/// Draw that makes one number of an episode's two.
+/// Number of the draw that combines seed and number of an episode.
 const EPISODE_DRAW: u32 = 2;
 
 /// Makes worlds of one recipe, which share the library of their images.
@@ -71,11 +71,11 @@ pub struct RecipeSource {
 }
 
 impl RecipeSource {
-    /// Fills the library: from the cache, or by simulations, which take minutes. Then the brightness of a few places gives the
-    /// scale of tiles, the same for all seeds.
+    /// Fills the library, from the cache or by simulations, which take minutes. Then the brightness of a few places sets the scale of
+    /// tiles, which is equal for all seeds.
     ///
     /// # Errors
-    /// Those of the specimen and the engine, [`Error::Interrupted`].
+    /// Errors of the specimen and the engine, [`Error::Interrupted`].
     pub fn new(
         recipe: &CheckedRecipe,
         options: &BuildOptions,
@@ -106,48 +106,48 @@ impl RecipeSource {
         Ok(source)
     }
 
-    /// The recipe.
+    /// Returns the recipe.
     pub fn recipe(&self) -> &CheckedRecipe {
         &self.recipe
     }
 
-    /// Facts of the field of all its worlds.
+    /// Returns facts of the field of all worlds.
     pub fn facts(&self) -> &FieldFacts {
         &self.facts
     }
 
-    /// How images are made.
+    /// Returns the options by which images are made.
     pub fn options(&self) -> &BuildOptions {
         &self.options
     }
 
-    /// The recipe with another seed.
+    /// Returns the recipe with another seed.
     ///
     /// # Errors
-    /// Those of the recipe's limits.
+    /// Errors of the recipe's limits.
     pub fn recipe_of(&self, seed: u64) -> Result<CheckedRecipe> {
         self.recipe.with_seed(seed)
     }
 
-    /// The world of a seed.
+    /// Makes the world of a seed.
     ///
     /// # Errors
-    /// Those of the specimen.
+    /// Errors of the specimen.
     pub fn world(&self, seed: u64) -> Result<RecipeWorld> {
         self.world_of(self.recipe_of(seed)?)
     }
 
-    /// The world of a seed, and if somebody uses it already that one, with the images that it has made: episodes of many agents and
+    /// Returns the world of a seed. A world that somebody already uses is shared, with its images, so that episodes of many agents and
     /// tasks in one specimen simulate a place once.
     ///
     /// # Errors
-    /// Those of the specimen.
+    /// Errors of the specimen.
     pub fn shared_world(&self, seed: u64) -> Result<Arc<RecipeWorld>> {
         self.in_use.get(seed, || self.world(seed))
     }
 
-    /// Scale and offset of tiles: the brightest pixel of a few places of a world, or of its largest particles, with its noise and
-    /// [`HEADROOM`].
+    /// Returns scale and offset of tiles. The scale is the brightest pixel of a few places of a world, or of its largest particles, with
+    /// its noise and [`HEADROOM`].
     fn scaling(&self, world: &RecipeWorld, progress: &dyn Progress) -> Result<[f64; 2]> {
         let brightest = match self.brightest_of_particles(world, progress)? {
             Some(brightest) => brightest,
@@ -168,8 +168,8 @@ impl RecipeSource {
         Ok(brightest)
     }
 
-    /// The brightest of [`PARTICLE_PX`] pixels each way about the centres of the largest particles, if there are any: those pixels alone
-    /// are simulated, in one phonon configuration.
+    /// Returns the brightest pixel in squares of [`PARTICLE_PX`] pixels about the centres of the largest particles, if there are any. Only
+    /// these pixels are simulated, in one phonon configuration.
     fn brightest_of_particles(
         &self,
         world: &RecipeWorld,
@@ -199,7 +199,7 @@ impl RecipeSource {
         let specimen = specimen(&recipe)?;
         let mut imaging = self.options.policy(&recipe)?.imaging;
         if imaging.method == MethodChoice::Auto {
-            // A library serves one specimen after the other.
+            // The library is used for many specimens, so a mosaic always pays.
             imaging.method = MethodChoice::Mosaic;
         }
         let imager = imaging.imager_of_many(&recipe, &specimen, &self.shared)?;
@@ -215,7 +215,7 @@ fn name_of(recipe: &Recipe) -> String {
     format!("{}{tier}", recipe.id)
 }
 
-/// The kind of defect that a recipe has most of.
+/// Returns the type of defect that [`FieldFacts::target`] names for a recipe: vacancies if it has any, else substitutions.
 fn target(recipe: &Recipe) -> Option<String> {
     let further = |vacant: bool| recipe.defects.iter().any(|d| d.by.is_none() == vacant);
     let substituted = recipe.alloy.is_some() || recipe.substitutions.is_some() || further(false);
@@ -227,7 +227,7 @@ fn target(recipe: &Recipe) -> Option<String> {
     }
 }
 
-/// What a world has made.
+/// Images and maps that a world has made.
 #[derive(Default)]
 struct Made {
     views: HashMap<([usize; 2], u64), Arc<Array2<f32>>>,
@@ -235,7 +235,7 @@ struct Made {
     phases: HashMap<usize, Arc<PhaseSamples>>,
 }
 
-/// A specimen of a recipe, and images of the places that are looked at.
+/// A specimen of a recipe, with images of the places that agents have looked at.
 pub struct RecipeWorld {
     recipe: CheckedRecipe,
     specimen: Arc<dyn Specimen>,
@@ -245,12 +245,12 @@ pub struct RecipeWorld {
 }
 
 impl RecipeWorld {
-    /// The recipe, with the seed.
+    /// Returns the recipe, with the seed.
     pub fn recipe(&self) -> &CheckedRecipe {
         &self.recipe
     }
 
-    /// The specimen.
+    /// Returns the specimen.
     pub fn specimen(&self) -> &Arc<dyn Specimen> {
         &self.specimen
     }
@@ -263,7 +263,7 @@ impl RecipeWorld {
         self.recipe.phonons.configurations.max(1)
     }
 
-    /// A rectangle of the field's own pixels, or places between them.
+    /// Images a view: pixels of the field without zoom, or places between them.
     fn image(&self, view: &TileView, progress: &dyn Progress) -> Result<Array2<f32>> {
         let field = &self.recipe.field;
         let image = if view.zoom == 1.0 {
@@ -278,7 +278,7 @@ impl RecipeWorld {
         Ok(image.mapv(|v| v as f32))
     }
 
-    /// Shape of the overview: whole pixels of it.
+    /// Returns the shape of the overview: its whole pixels.
     fn overview_shape(&self) -> [usize; 2] {
         self.facts.shape_px().map(|n| n / OVERVIEW_FACTOR)
     }
@@ -288,8 +288,8 @@ impl RecipeWorld {
         OverviewBlocks::new(self.overview_shape(), start)
     }
 
-    /// A block of the overview: each of its pixels is the mean of so many places that nothing in the image is finer, with the noise of
-    /// the electrons of its area.
+    /// Makes a block of the overview. Each pixel is the mean over a raster that is finer than any detail of the image, with the noise of
+    /// the electrons on its area.
     fn block(&self, at: [usize; 2], progress: &dyn Progress) -> Result<Arc<Array2<f32>>> {
         if let Some(found) = self.kept().blocks.get(&at) {
             return Ok(Arc::clone(found));
@@ -299,7 +299,7 @@ impl RecipeWorld {
         let first = [0, 1].map(|k| of_block[k].start);
         let size = [0, 1].map(|k| of_block[k].len());
         let edge_nm = OVERVIEW_FACTOR as f64 * pixel;
-        // The lowest frequency that looks like none is one of which images hold next to nothing.
+        // The raster's spacing is chosen so that frequencies that alias to zero are above this share of the band limit.
         let highest = HIGHEST_SHARE * band_limit(&self.recipe);
         let places = (10.0 * edge_nm * highest).ceil().max(1.0) as usize;
         let origin = self.recipe.field.origin_nm();
@@ -337,7 +337,7 @@ impl RecipeWorld {
     }
 }
 
-/// Overviews draw numbers of their own.
+/// Overviews take other random numbers than tiles.
 const OVERVIEW_STREAM: u64 = 0x6F76_6572_7669_6577;
 
 impl BenchmarkWorld for RecipeWorld {
@@ -413,10 +413,10 @@ impl BenchmarkWorld for RecipeWorld {
     }
 }
 
-/// A site lies no further beside the place of its column, in nm.
+/// Largest distance of a site from the place of its column, in nm.
 const BESIDE_NM: f64 = 0.3;
 
-/// What is in a region of a specimen, which counts from the field's first pixel at `origin` (x, y) in nm of the full field.
+/// Returns the truth of a region of a specimen. The region counts from the field's first pixel, at `origin` (x, y) in nm of the full field.
 pub(super) fn truth_of(
     specimen: &dyn Specimen,
     region: &Region,
@@ -443,7 +443,7 @@ pub(super) fn truth_of(
     }
 }
 
-/// The particles that reach into such a region.
+/// Returns the particles that reach into the region.
 fn particles_of(specimen: &dyn Specimen, region: &Region, origin: [f64; 2]) -> Vec<FoundParticle> {
     let particle = |p: &ParticleOutline| FoundParticle {
         position_nm: [0, 1].map(|k| p.centre_nm[k] - origin[k]),

@@ -1,4 +1,4 @@
-//! The truth of what an agent has seen.
+//! The truth of all parts of a field that an agent has seen.
 
 use ndarray::Array2;
 
@@ -7,7 +7,7 @@ use super::findings::{FoundParticle, PlacedDefect};
 use super::task_scores::NO_PHASE;
 use crate::recipe::Region;
 
-/// The parts of a field that were acquired, and what was there when they were: where two parts overlap, in the later one.
+/// The parts of a field that were acquired, and their truth at that time. Where two parts overlap, the later one counts.
 #[derive(Debug, Clone, Default)]
 pub struct SeenTruth {
     views: Vec<Region>,
@@ -17,9 +17,9 @@ pub struct SeenTruth {
 }
 
 impl SeenTruth {
-    /// Takes in a part.
+    /// Adds a part.
     pub fn add(&mut self, view: Region, truth: RegionTruth) {
-        // Places in a part that was seen before are those of now.
+        // In places that were seen before, the truth of this part replaces the earlier one.
         self.defects.retain(|d| !view.contains(d.position_nm));
         self.columns.retain(|c| !view.contains(c.position_nm));
         self.defects.extend(truth.defects);
@@ -34,27 +34,27 @@ impl SeenTruth {
         }
     }
 
-    /// Each part once.
+    /// Returns each part once.
     pub fn views(&self) -> &[Region] {
         &self.views
     }
 
-    /// Vacant and substituted sites.
+    /// Returns the vacant and substituted sites.
     pub fn defects(&self) -> &[PlacedDefect] {
         &self.defects
     }
 
-    /// Columns.
+    /// Returns the columns.
     pub fn columns(&self) -> &[TrueColumn] {
         &self.columns
     }
 
-    /// Particles that reach into any part.
+    /// Returns the particles that reach into any part.
     pub fn particles(&self) -> &[FoundParticle] {
         &self.particles
     }
 
-    /// The samples of phases that lie in any part, and no prediction elsewhere; `None` where there is one phase in all of the field.
+    /// Returns the samples of phases in the parts, with no prediction elsewhere; `None` if the whole field has one phase.
     pub fn phases(&self, samples: &PhaseSamples, pixel_nm: f64) -> Option<Array2<i32>> {
         let first = *samples.phases.first()?;
         if samples.phases.iter().all(|phase| *phase == first) {
@@ -69,7 +69,7 @@ impl SeenTruth {
         }))
     }
 
-    /// Whether each part holds a particle: as is claimed, and as is true.
+    /// Returns for each part whether the agent claims a particle in it, and whether it holds one.
     pub fn occupied(&self, claimed: &[FoundParticle]) -> Vec<[bool; 2]> {
         let holds = |view: &Region, list: &[FoundParticle]| {
             list.iter().any(|p| view.grown(0.5 * p.diameter_nm).contains(p.position_nm))

@@ -1,4 +1,4 @@
-//! The four tasks: which score belongs to each.
+//! The four tasks and their scores.
 
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
@@ -14,25 +14,25 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 use crate::specimen::SiteKind;
 
-/// Particles are a pair in the strict form within this distance of their centres in nm: a fifth of the diameter of common ones.
+/// Largest distance in nm of the centres of a pair of particles in the strict form: a fifth of the diameter of common particles.
 pub const STRICT_PARTICLE_RADIUS_NM: f64 = 0.5;
 
-/// What is asked for.
+/// The question of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TaskKind {
-    /// How many defects of each type there are.
+    /// The number of defects of each type.
     DefectCensus,
-    /// Where each phase is, in the full field.
+    /// The place of each phase in the full field.
     PhaseMapping,
-    /// Where the defects of one type are.
+    /// The places of the defects of one type.
     Targeted,
-    /// Which parts hold a particle, and the sizes and shapes of particles.
+    /// The parts that hold a particle, and the sizes and shapes of particles.
     ParticleCensus,
 }
 
 impl TaskKind {
-    /// Its name: `defect-census`.
+    /// Returns the name of the task: `defect-census`.
     pub fn name(self) -> &'static str {
         match self {
             TaskKind::DefectCensus => "defect-census",
@@ -46,9 +46,9 @@ impl TaskKind {
 /// A task.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Task {
-    /// What is asked for.
+    /// The question.
     pub kind: TaskKind,
-    /// Places have to be right to [`STRICT_RADIUS_NM`], not to [`PAPER_RADIUS_NM`].
+    /// Whether places must be right to [`STRICT_RADIUS_NM`] in place of [`PAPER_RADIUS_NM`].
     pub strict: bool,
     /// The type of defect that [`TaskKind::Targeted`] asks for; all when `None`.
     pub target: Option<String>,
@@ -57,11 +57,11 @@ pub struct Task {
 /// Scores of one declaration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TaskScore {
-    /// The task's, as the paper has it.
+    /// Score of the task as defined in the paper.
     pub paper: f64,
-    /// The task's, with places that are right to [`STRICT_RADIUS_NM`].
+    /// Score of the task with places that are right to [`STRICT_RADIUS_NM`].
     pub strict: f64,
-    /// Columns with defects told from others; of tasks about defects where the agent lists columns.
+    /// How well columns with defects are distinguished from others; for tasks about defects if the agent lists columns.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub columns: Option<ColumnScore>,
     /// Parts of the particle census.
@@ -85,10 +85,10 @@ impl Task {
         }
     }
 
-    /// The score of the task from 0 to 1. `phases` are needed for phase mapping alone.
+    /// Returns the score of the task from 0 to 1. `phases` are needed for phase mapping alone.
     ///
     /// # Errors
-    /// Those of [`phase_iou`].
+    /// Errors of [`phase_iou`].
     pub fn score(
         &self,
         findings: &AgentFindings,
@@ -128,7 +128,7 @@ impl Task {
         })
     }
 
-    /// All scores of a declaration.
+    /// Returns all scores of a declaration.
     ///
     /// # Errors
     /// As [`Task::score`].
@@ -159,7 +159,7 @@ fn particles(strict: bool, findings: &AgentFindings, seen: &SeenTruth) -> Partic
     particle_census(&tiles, &findings.particles, seen.particles(), radius)
 }
 
-/// A map of the field in equal parts, at the pixels of the samples.
+/// Samples a map of the field in equal parts at the pixels of the true samples.
 fn spread(map: &Array2<i32>, truth: &PhaseSamples) -> Array2<i32> {
     let ((rows, columns), (height, width)) = (map.dim(), truth.phases.dim());
     let part = |n: usize, of: usize, parts: usize| ((2 * n + 1) * parts / (2 * of)).min(parts - 1);
@@ -189,7 +189,7 @@ mod tests {
         assert_eq!(spread(&expected, &truth), expected);
     }
 
-    /// Places 1 nm off are right for the paper's form and wrong for the strict one.
+    /// Places that are 1 nm off count in the paper's form, but not in the strict form.
     #[test]
     fn strict_forms_ask_for_places() {
         let placed = |x: f64| PlacedDefect { kind: "vacancy".into(), position_nm: [x, 0.5] };
@@ -201,7 +201,7 @@ mod tests {
         let task = Task { kind: TaskKind::Targeted, strict: false, target: Some("vacancy".into()) };
         let scores = task.all_scores(&findings, &seen, None).unwrap();
         assert_eq!((scores.paper, scores.strict), (1.0, 0.0));
-        // A census by counts alone does not ask where they are; of another type, nothing is there.
+        // A census by counts alone does not compare places; of the other type there is no defect.
         let census = Task { kind: TaskKind::DefectCensus, strict: true, target: None };
         assert_eq!(census.score(&findings, &seen, None).unwrap(), 1.0);
         let other = Task { target: Some("substitution".into()), ..task };

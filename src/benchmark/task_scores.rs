@@ -10,27 +10,27 @@ use super::matching::{most_pairs, nearest_pairs};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Found and true places of the paper's tasks are a pair within this distance in nm.
+/// Largest distance in nm of a pair of a found and a true place in the paper's tasks.
 pub const PAPER_RADIUS_NM: f64 = 5.0;
-/// The same of the strict forms: half the distance of two columns.
+/// Largest distance in nm of a pair in the strict forms: half the distance of two columns.
 pub const STRICT_RADIUS_NM: f64 = 0.1;
-/// No phase was predicted for a pixel.
+/// Value of pixels without a predicted phase.
 pub const NO_PHASE: i32 = -1;
 /// Shares of detection, sizing and morphology in the particle census.
 const PARTICLE_SHARES: [f64; 3] = [0.5, 0.3, 0.2];
 
-/// F1 of counts: twice the hits over all that was claimed and all that is there.
+/// F1 of counts: twice the hits divided by the sum of claimed and true items.
 fn f1(hits: f64, found: f64, truth: f64) -> f64 {
     if found + truth > 0.0 { 2.0 * hits / (found + truth) } else { 1.0 }
 }
 
-/// The mean; 1 of nothing: nothing was there, and nothing claimed.
+/// The mean; 1 for an empty list, where nothing was there and nothing was claimed.
 fn mean(values: &[f64]) -> f64 {
     if values.is_empty() { 1.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
 }
 
-/// Defect census by counts: F1 of each type with as many hits as the lesser of what was found and what is there, and their mean over the types that
-/// either lists with a count above 0.
+/// Defect census by counts: the mean of F1 over the types that either list has with a count above 0. The hits of a type are the lesser of
+/// its found and its true count.
 pub fn count_f1(found: &BTreeMap<String, u64>, truth: &BTreeMap<String, u64>) -> f64 {
     let of = |list: &BTreeMap<String, u64>, kind: &str| list.get(kind).copied().unwrap_or(0);
     let kinds: BTreeSet<&String> = found.keys().chain(truth.keys()).collect();
@@ -57,7 +57,7 @@ pub fn targeted_f1(
     f1(hits, found.len() as f64, truth.len() as f64)
 }
 
-/// The mean of [`targeted_f1`] over the types that either lists.
+/// The mean of [`targeted_f1`] over the types that occur in either list.
 pub fn spatial_f1(found: &[PlacedDefect], truth: &[PlacedDefect], radius_nm: f64) -> f64 {
     let kinds: BTreeSet<&str> = found.iter().chain(truth).map(|d| d.kind.as_str()).collect();
     let of = |kind: &str| targeted_f1(found, truth, Some(kind), radius_nm);
@@ -79,11 +79,12 @@ pub fn defect_census(
     places.map_or(by_counts, |found| by_counts.max(spatial_f1(found, truth, radius_nm)))
 }
 
-/// Phase mapping: the mean over the phases that are there or were predicted of the pixels that both maps give to a phase over those that either does.
-/// Pixels without a prediction ([`NO_PHASE`]) are wrong, and pixels whose true phase is not known do not count. `None` is right in a field of one phase, and worth nothing elsewhere.
+/// Phase mapping: the mean, over the phases that occur or were predicted, of the number of pixels that both maps give to a phase, divided
+/// by the number that either map gives to it. Pixels without a prediction ([`NO_PHASE`]) are wrong, and pixels whose true phase is not
+/// known do not count. `None` is right in a field of one phase, and scores 0 elsewhere.
 ///
 /// # Errors
-/// [`Error::Invalid`] for maps, [row, column], of two shapes.
+/// [`Error::Invalid`] for maps, [row, column], of different shapes.
 pub fn phase_iou(found: Option<&Array2<i32>>, truth: &Array2<i32>) -> Result<f64> {
     let present: BTreeSet<i32> = truth.iter().copied().filter(|p| *p != NO_PHASE).collect();
     let Some(found) = found else { return Ok(f64::from(u8::from(present.len() <= 1))) };
@@ -109,7 +110,7 @@ pub fn phase_iou(found: Option<&Array2<i32>>, truth: &Array2<i32>) -> Result<f64
 /// Parts of the particle census.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ParticleScore {
-    /// Macro mean of F1 of the tiles that hold a particle and of those that hold none.
+    /// Macro mean of F1 of the tiles with a particle and of the tiles without one.
     pub detection: f64,
     /// Mean over paired particles of one less the relative error of the diameter.
     pub sizing: f64,
@@ -118,16 +119,16 @@ pub struct ParticleScore {
 }
 
 impl ParticleScore {
-    /// The score of the task.
+    /// Returns the score of the task.
     pub fn total(&self) -> f64 {
         let parts = [self.detection, self.sizing, self.morphology];
         parts.iter().zip(PARTICLE_SHARES).map(|(part, share)| part * share).sum()
     }
 }
 
-/// Particle census. `tiles` says of each tile that was seen whether it is claimed to hold a particle, and whether it does; the
-/// particles are those of these tiles. With none there, sizing and morphology are 1 if none is claimed, else 0; with some there and none paired they
-/// are 0.
+/// Particle census. `tiles` holds, for each tile that was seen, whether a particle is claimed and whether there is one; the particles are
+/// the ones in these tiles. If there are none, sizing and morphology are 1 if none is claimed, else 0; if there are some and none is
+/// paired, both are 0.
 pub fn particle_census(
     tiles: &[[bool; 2]],
     found: &[FoundParticle],
@@ -155,7 +156,7 @@ pub fn particle_census(
     }
 }
 
-/// The mean of F1 over the classes of (found, true) pairs.
+/// Returns the mean of F1 over the classes of (found, true) pairs.
 pub fn macro_f1<T: Ord + Copy>(pairs: &[[T; 2]]) -> f64 {
     let classes: BTreeSet<T> = pairs.iter().flatten().copied().collect();
     let of = |class: T| {
@@ -167,7 +168,7 @@ pub fn macro_f1<T: Ord + Copy>(pairs: &[[T; 2]]) -> f64 {
     mean(&classes.into_iter().map(of).collect::<Vec<_>>())
 }
 
-/// How well columns with defects are told from others.
+/// How well columns with defects are distinguished from others.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ColumnScore {
     /// Of the claimed columns, the share that holds a defect; 1 if none is claimed.
@@ -175,12 +176,12 @@ pub struct ColumnScore {
     /// Of the columns with a defect, the share that is claimed; 1 if there is none.
     pub recall: f64,
     /// Average precision: the sum over claimed columns, the surest first, of the precision so far times the recall that the column adds
-    /// (`sklearn.metrics.average_precision_score`). Columns of one score count at once.
+    /// (`sklearn.metrics.average_precision_score`). Columns of equal score count at once.
     pub average_precision: f64,
 }
 
-/// Scores claimed columns against those that hold a defect, (x, y) in nm; a claim is that of the nearest true column within
-/// `radius_nm`, each once.
+/// Scores claimed columns against the columns with a defect, (x, y) in nm. Each claim belongs to the nearest true column within
+/// `radius_nm`, and each column counts once.
 pub fn column_score(found: &[FoundColumn], truth: &[[f64; 2]], radius_nm: f64) -> ColumnScore {
     let mut sorted: Vec<&FoundColumn> = found.iter().collect();
     sorted.sort_by(|a, b| b.score.total_cmp(&a.score));

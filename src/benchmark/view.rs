@@ -1,4 +1,4 @@
-//! What an acquisition looks at: a square of the field in as many pixels as a tile has.
+//! The view of an acquisition: a square of the field with as many pixels as a tile.
 
 use serde::Serialize;
 
@@ -20,37 +20,37 @@ pub struct FieldFacts {
     pub overlap_px: usize,
     /// Edge of a pixel in nm.
     pub pixel_nm: f64,
-    /// The dose of the world's tier, in electrons per square Angstrom; 0 where it is not known.
+    /// Dose of the world's tier, in electrons per square Angstrom; 0 where it is not known.
     pub dose: f64,
     /// Scale and offset of tiles: fraction of the beam = value * scale + offset.
     pub scaling: [f64; 2],
-    /// Names of the phases; empty where there is one.
+    /// Names of the phases; empty for a single phase.
     pub phases: Vec<String>,
-    /// The kind of defect that is asked for in targeted characterisation unless another is named: the commonest.
+    /// Type of defect that targeted characterisation asks for by default: the commonest in a file; vacancies in a recipe that has any.
     pub target: Option<String>,
-    /// Recorded data, to which no noise is ever added.
+    /// Whether the data are recorded, so that no noise is ever added.
     pub recorded: bool,
-    /// Pixels at the edges that no view may reach.
+    /// Number of pixels at the edges that no view may reach.
     pub margin_px: usize,
 }
 
 impl FieldFacts {
-    /// Distance of neighbouring tiles in pixels.
+    /// Returns the distance of neighbouring tiles in pixels.
     pub fn stride_px(&self) -> usize {
         self.tile_px - self.overlap_px
     }
 
-    /// Rows and columns of pixels.
+    /// Returns the number of pixels: [rows, columns].
     pub fn shape_px(&self) -> [usize; 2] {
         self.grid.map(|n| n * self.stride_px() + self.overlap_px)
     }
 
-    /// Height and width in nm.
+    /// Returns height and width in nm.
     pub fn size_nm(&self) -> [f64; 2] {
         self.shape_px().map(|n| n as f64 * self.pixel_nm)
     }
 
-    /// The tile (row, column) whose middle is nearest to that of a view.
+    /// Returns the tile (row, column) whose middle is nearest to the middle of a view.
     pub fn tile_of(&self, view: &TileView) -> [usize; 2] {
         [0, 1].map(|k| {
             let n = (view.first_px[k] + self.stride_px() / 2) / self.stride_px();
@@ -58,8 +58,8 @@ impl FieldFacts {
         })
     }
 
-    /// The view of a place (x, y), in fractions of the field's width and height: the whole pixels about it, moved inwards where they
-    /// would reach out of the field.
+    /// Returns the view of a place (x, y), in fractions of the field's width and height: the whole pixels about it, moved inwards where
+    /// they would reach out of the field.
     pub fn view_at(&self, position: [f64; 2], zoom: f64) -> TileView {
         let shape = self.shape_px();
         let first = |k: usize| {
@@ -72,13 +72,13 @@ impl FieldFacts {
         TileView { first_px: [first(0), first(1)], tile_px: self.tile_px, zoom }
     }
 
-    /// The middle (x, y) of a view in fractions of the field's width and height.
+    /// Returns the middle (x, y) of a view in fractions of the field's width and height.
     pub fn position_of(&self, view: &TileView) -> [f64; 2] {
         let shape = self.shape_px();
         [1, 0].map(|k| (view.first_px[k] as f64 + 0.5 * self.tile_px as f64) / shape[k] as f64)
     }
 
-    /// The middle (x, y) of a tile (row, column) in fractions of the field's width and height.
+    /// Returns the middle (x, y) of a tile (row, column) in fractions of the field's width and height.
     pub fn centre_of(&self, tile: [usize; 2]) -> [f64; 2] {
         let first_px = tile.map(|n| n * self.stride_px());
         self.position_of(&TileView { first_px, tile_px: self.tile_px, zoom: 1.0 })
@@ -88,26 +88,26 @@ impl FieldFacts {
 /// A square of the field.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TileView {
-    /// First row and column of the pixels of the field that it shows without zoom.
+    /// First row and column of the field's pixels in the view without zoom.
     pub first_px: [usize; 2],
-    /// Its rows and columns.
+    /// Number of rows, and of columns, of the view.
     pub tile_px: usize,
-    /// It shows the middle `1 / zoom` of their width, in as many pixels.
+    /// Zoom: the view shows the middle `1 / zoom` of the width with the same number of pixels.
     pub zoom: f64,
 }
 
 impl TileView {
-    /// The pixels of the field without zoom.
+    /// Returns the pixels of the field without zoom.
     pub fn pixels(&self) -> PixelRect {
         PixelRect::new(self.first_px, [self.tile_px; 2])
     }
 
-    /// Its middle (x, y) in nm from the centre of the field's first pixel.
+    /// Returns the middle (x, y) of the view in nm from the centre of the field's first pixel.
     pub fn centre_nm(&self, pixel_nm: f64) -> [f64; 2] {
         [1, 0].map(|k| (self.first_px[k] as f64 + 0.5 * (self.tile_px as f64 - 1.0)) * pixel_nm)
     }
 
-    /// Its pixels, with the field's pixel (0, 0) at `origin_nm` (x, y).
+    /// Returns the pixels of the view, with the field's pixel (0, 0) at `origin_nm` (x, y).
     pub fn raster(&self, pixel_nm: f64, origin_nm: [f64; 2]) -> TurnedRaster {
         let centre = self.centre_nm(pixel_nm);
         TurnedRaster {
@@ -118,7 +118,7 @@ impl TileView {
         }
     }
 
-    /// What it shows, in nm from the centre of the field's first pixel.
+    /// Returns the area of the view, in nm from the centre of the field's first pixel.
     pub fn region(&self, pixel_nm: f64) -> Region {
         let [x, y] = self.centre_nm(pixel_nm);
         let half = 0.5 * self.tile_px as f64 * pixel_nm / self.zoom;

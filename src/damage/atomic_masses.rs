@@ -2,8 +2,8 @@
 
 use crate::constants::MAX_ATOMIC_NUMBER;
 
-/// Standard atomic weights (IUPAC 2016) of hydrogen to lawrencium; of elements without stable isotopes, the mass of the
-/// longest-lived one.
+/// Standard atomic weights (IUPAC 2016) of hydrogen to lawrencium. For elements without stable isotopes, the mass of the longest-lived
+/// isotope.
 #[rustfmt::skip]
 const MASSES: [f64; MAX_ATOMIC_NUMBER as usize] = [
     1.008, 4.0026, 6.94, 9.0122, 10.81, 12.011, 14.007, 15.999, 18.9984, 20.1797, 22.9898, 24.305,
@@ -18,7 +18,7 @@ const MASSES: [f64; MAX_ATOMIC_NUMBER as usize] = [
     243.0614, 247.0703, 247.0703, 251.0796, 252.083, 257.0951, 258.0984, 259.101, 262.11,
 ];
 
-/// Mass of an atom in atomic mass units; that of the nearest element in the table beyond it.
+/// Mass of an atom in atomic mass units. Numbers outside the table give the mass of the nearest element in it.
 pub fn atomic_mass(number: u8) -> f64 {
     MASSES[usize::from(number.clamp(1, MAX_ATOMIC_NUMBER)) - 1]
 }

@@ -16,15 +16,15 @@ const VIBRATION_M_PER_S: [f64; 2] = [0.0, 1e4];
 /// Effective cross-sections of radiolysis in barn.
 const RADIOLYSIS_BARN: [f64; 2] = [0.0, 1e9];
 
-/// What the beam does to the specimen. An atom of which nothing is said stays where it is.
+/// Damage of the specimen by the beam. Atoms of elements that are not named stay in place.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DamageTable {
-    /// Energy in eV that displaces an atom for good, by symbol of the element (knock-on).
+    /// Threshold energy in eV for displacing an atom permanently (knock-on), by symbol of the element.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub threshold_ev: BTreeMap<String, f64>,
-    /// Root of the mean square velocity along the beam with which an atom vibrates, in m/s, by symbol of the element: at a temperature T
-    /// the root of k T / M, or more where zero-point motion counts. Atoms that the table leaves out are hit at rest.
+    /// Root-mean-square velocity of an atom's vibration along the beam in m/s, by symbol of the element: at a temperature T it is the root
+    /// of k T / M, or more with zero-point motion. Atoms that the table leaves out are hit at rest.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub vibration_m_per_s: BTreeMap<String, f64>,
     /// Effective cross-section in barn for the loss of an atom by ionisation, by symbol of the element.
@@ -56,7 +56,7 @@ impl DamageTable {
     /// Checks every value against its limits.
     ///
     /// # Errors
-    /// The first value outside them.
+    /// The first value outside its limits.
     pub fn check(&self) -> Result<(), Fault> {
         for (element, threshold) in &self.threshold_ev {
             check_range(format!("threshold_ev.{element}"), *threshold, THRESHOLD_EV)?;

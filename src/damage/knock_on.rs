@@ -1,4 +1,4 @@
-//! Knock-on: electrons that hit a nucleus so hard that the atom leaves its site.
+//! Knock-on: electrons that transfer so much energy to a nucleus that the atom leaves its site.
 
 use std::f64::consts::PI;
 
@@ -14,17 +14,17 @@ const ELECTRON_RADIUS_ANGSTROM: f64 = 2.817_940_326_2e-5;
 
 /// Velocity of light in m/s.
 const LIGHT_M_PER_S: f64 = 299_792_458.0;
-/// Standard deviations of the velocity that are integrated over, and steps on each side.
+/// Range of the integral over the velocity in standard deviations, and number of steps on each side.
 const MOST_DEVIATIONS: f64 = 8.0;
 const VELOCITY_STEPS: i32 = 2000;
 
-/// The greatest energy in eV that an electron of `energy_ev` gives to a nucleus at rest: `2 E (E + 2 m c^2) / (M c^2)`.
+/// The largest energy in eV that an electron of `energy_ev` can transfer to a nucleus at rest: `2 E (E + 2 m c^2) / (M c^2)`.
 pub fn greatest_transfer_ev(number: u8, energy_ev: f64) -> f64 {
     let rest = atomic_mass(number) * MASS_UNIT_EV;
     2.0 * energy_ev * (energy_ev + 2.0 * ELECTRON_REST_ENERGY_EV) / rest
 }
 
-/// Cross-section in square Angstrom for giving a nucleus more than `threshold_ev`; 0 where no electron can.
+/// Cross-section in square Angstrom for transferring more than `threshold_ev` to a nucleus; 0 where this is impossible.
 ///
 /// W. A. McKinley and H. Feshbach, Phys. Rev. 74 (1948) 1759, integrated over all transfers above the threshold (F. Seitz and
 /// J. S. Koehler, Solid State Physics 2 (1956) 305): with `t = T_max / T_d`, `a = Z / 137`, `beta = v / c`,
@@ -40,12 +40,12 @@ pub fn knock_on_angstrom2(number: u8, energy_ev: f64, threshold_ev: f64) -> f64 
     )
 }
 
-/// The same for a nucleus that vibrates with a root-mean-square velocity along the beam of `vibration_m_per_s`: the mean over a Gaussian
-/// distribution of velocities v.
+/// Cross-section for knock-on as [`knock_on_angstrom2`], for a nucleus that vibrates with a root-mean-square velocity along the beam of
+/// `vibration_m_per_s`: the mean over a Gaussian distribution of velocities v.
 ///
-/// An atom that already moves with the beam receives up to `(sqrt(T_max) + sqrt(M v^2 / 2))^2`, to within a ten-thousandth at the
-/// energies of microscopes; the rest of the formula stays (J. C. Meyer et al., Phys. Rev. Lett. 108 (2012) 196102). So atoms leave below
-/// the threshold voltage too.
+/// An atom that already moves with the beam receives up to `(sqrt(T_max) + sqrt(M v^2 / 2))^2`, with an error below a ten-thousandth at the
+/// energies of microscopes. The rest of the formula is unchanged (J. C. Meyer et al., Phys. Rev. Lett. 108 (2012) 196102). So atoms leave
+/// below the threshold voltage too.
 pub fn vibrating_knock_on_angstrom2(
     number: u8,
     energy_ev: f64,
@@ -58,7 +58,7 @@ pub fn vibrating_knock_on_angstrom2(
     let at_rest = greatest_transfer_ev(number, energy_ev).sqrt();
     let rest_energy_ev = atomic_mass(number) * MASS_UNIT_EV;
     let moving = (0.5 * rest_energy_ev).sqrt() * vibration_m_per_s / LIGHT_M_PER_S;
-    // The trapezoidal rule converges faster than any power of the step for such an integrand.
+    // The trapezoidal rule needs no correction at the ends, where the Gaussian weight vanishes.
     let (mut sum, mut weights) = (0.0, 0.0);
     for n in -VELOCITY_STEPS..=VELOCITY_STEPS {
         let deviation = MOST_DEVIATIONS * f64::from(n) / f64::from(VELOCITY_STEPS);
@@ -70,7 +70,7 @@ pub fn vibrating_knock_on_angstrom2(
     sum / weights
 }
 
-/// The cross-section for more than the share `1 / t` of the greatest transfer.
+/// The cross-section for transfers above the share `1 / t` of the largest transfer.
 fn transferring_angstrom2(number: u8, energy_ev: f64, t: f64) -> f64 {
     if t <= 1.0 {
         return 0.0;
@@ -132,14 +132,14 @@ mod tests {
         }
     }
 
-    /// Atoms that vibrate: those at rest in the limit, and the probability of the tail times the static cross-section of its velocity,
-    /// integrated another way (over transfers, by Simpson's rule on a fine grid of velocities).
+    /// Vibrating atoms: compared with atoms at rest in the limit, and with the probability of a velocity times its static cross-section,
+    /// integrated in another way (over transfers, by Simpson's rule on a fine grid of velocities).
     #[test]
     fn vibrations_displace_below_the_threshold() {
         let still = knock_on_angstrom2(16, 100e3, 6.9);
         let slow = vibrating_knock_on_angstrom2(16, 100e3, 6.9, 1e-3);
         assert!((slow / still - 1.0).abs() < 1e-6, "{slow} {still}");
-        // Sulphur of MoS2 at 300 K and 80 kV, that 6.9 eV displace: k T / M is the square of 279 m/s.
+        // Sulphur of MoS2 at 300 K and 80 kV with a threshold of 6.9 eV: k T / M is the square of 279 m/s.
         assert_eq!(knock_on_angstrom2(16, 80e3, 6.9), 0.0);
         let found = vibrating_knock_on_angstrom2(16, 80e3, 6.9, 279.0);
         let mass_kg = 32.06 * 1.660_539e-27;
@@ -147,7 +147,7 @@ mod tests {
         let step = 16.0 * 279.0 / f64::from(steps);
         for n in 0..=steps {
             let v = -8.0 * 279.0 + f64::from(n) * step;
-            // Head-on in units of momentum: the nucleus moves with P, and the electron is thrown back with all of its own.
+            // A head-on collision in units of momentum: the electron is scattered straight back, and the nucleus gains twice its momentum.
             let electron = (80e3 * (80e3 + 2.0 * 510_998.95f64)).sqrt() / 299_792_458.0;
             let nucleus = mass_kg * v / 1.602_176_634e-19 + 2.0 * electron;
             let energy = nucleus * nucleus / (2.0 * mass_kg) * 1.602_176_634e-19;

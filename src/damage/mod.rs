@@ -1,4 +1,4 @@
-//! What the beam does to atoms: how likely an electron displaces one.
+//! Damage by the beam: the probability that an electron displaces an atom.
 
 mod atomic_masses;
 mod damage_table;

@@ -1,4 +1,4 @@
-//! The modulation transfer function of a pixelated detector: how far one electron's signal spreads over pixels.
+//! The modulation transfer function of a pixelated detector: the spread of one electron's signal over pixels.
 
 use ndarray::ArrayViewMut2;
 use num_complex::Complex32;
@@ -13,7 +13,7 @@ use crate::setting::Setting;
 const MOST_SIGMA: f64 = 50.0;
 /// Most rows of a table.
 const MOST_ROWS: usize = 10_000;
-/// A table begins at frequency 0 with 1, to this error.
+/// Allowed deviation of a table's first row from transfer 1 at frequency 0.
 const ONE: f64 = 1e-3;
 
 /// How a pixelated detector spreads the electrons of a pixel over its neighbours, beyond the area of the pixel itself.
@@ -58,7 +58,7 @@ impl DetectorMtf {
         Ok(self)
     }
 
-    /// Refuses what is no transfer function.
+    /// Checks that this is a transfer function.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a width below 0 or above 50 pixels, and for a table that does not rise in frequency from (0, 1) on, or has
@@ -127,7 +127,7 @@ pub struct MtfWorkspace {
 }
 
 impl MtfFilter {
-    /// For patterns of `pixels` x `pixels`.
+    /// Prepares the filter for patterns of `pixels` x `pixels`.
     pub fn new(mtf: &DetectorMtf, pixels: usize) -> Self {
         let n = 2 * pixels;
         let f = |i: usize| frequency(i, n) as f64 / n as f64;
@@ -141,7 +141,7 @@ impl MtfFilter {
         MtfWorkspace { wave: self.fft.buffer(), scratch: self.fft.scratch() }
     }
 
-    /// Spreads the electrons of a pattern. What a sharp transfer function makes negative becomes 0; the sum stays.
+    /// Spreads the electrons of a pattern. Negative values, which a sharp transfer function can make, become 0; the sum is kept.
     pub fn apply(&self, mut pattern: ArrayViewMut2<'_, f32>, w: &mut MtfWorkspace) {
         let (n, stride) = (2 * self.pixels, self.fft.stride());
         let mirrored = |i: usize| if i < self.pixels { i } else { n - 1 - i };
@@ -182,7 +182,7 @@ mod tests {
         out
     }
 
-    /// One bright pixel becomes the Gaussian itself, in the middle and, mirrored, in a corner.
+    /// One bright pixel becomes a Gaussian, in the middle and, mirrored, in a corner.
     #[test]
     fn a_pixel_becomes_the_point_spread_function() {
         let (sigma, n) = (1.3_f64, 24);

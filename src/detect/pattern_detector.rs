@@ -1,4 +1,4 @@
-//! Detectors that record something of every diffraction pattern: all pixels, or sums over rings.
+//! Detectors that record every diffraction pattern: all pixels, or sums over rings.
 
 use ndarray::Array2;
 
@@ -6,7 +6,7 @@ use super::{PixelatedDetector, RadialBins, VirtualDetector};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// What is recorded of a diffraction pattern.
+/// The recorded values of a diffraction pattern.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PatternDetector {
     /// The pixels of a square detector, (ky, kx).
@@ -30,7 +30,7 @@ impl PatternDetector {
         }
     }
 
-    /// Values of a recorded pattern.
+    /// Number of values of a recorded pattern.
     pub fn values(&self) -> usize {
         let [rows, columns] = self.shape();
         rows * columns
@@ -44,7 +44,7 @@ impl PatternDetector {
         }
     }
 
-    /// The pixels.
+    /// The pixelated detector; `None` for rings.
     pub fn pixels(&self) -> Option<&PixelatedDetector> {
         match self {
             PatternDetector::Pixels(pixels) => Some(pixels),
@@ -52,7 +52,7 @@ impl PatternDetector {
         }
     }
 
-    /// The rings.
+    /// The rings; `None` for pixels.
     pub fn rings(&self) -> Option<&RadialBins> {
         match self {
             PatternDetector::Pixels(_) => None,
@@ -63,7 +63,7 @@ impl PatternDetector {
     /// The share of each value on a detector, in the shape of a recorded pattern.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for angles beyond the pattern, for a detector that no pixel lies on, and for one that is not made of whole rings.
+    /// [`Error::Invalid`] for angles beyond the pattern, for a detector without any pixel, and for one that is not made of whole rings.
     pub fn weights(&self, detector: &VirtualDetector) -> Result<Array2<f32>> {
         match self {
             PatternDetector::Pixels(pixels) => detector.weights(pixels),

@@ -20,7 +20,7 @@ pub struct PixelatedDetector {
 }
 
 impl PixelatedDetector {
-    /// Refuses what is no detector.
+    /// Refuses impossible detectors.
     ///
     /// # Errors
     /// [`Error::Invalid`] for less than 2 or more than 4096 pixels, and for an angle that is not above 0.

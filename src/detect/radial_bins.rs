@@ -1,4 +1,4 @@
-//! Rings of equal width in scattering angle, from which any annulus of whole rings is summed afterwards.
+//! Rings of equal width in scattering angle, from which any annulus of whole rings can be summed later.
 
 use ndarray::Array2;
 
@@ -8,7 +8,7 @@ use crate::setting::Setting;
 
 /// Most rings of a detector.
 pub const MOST_RINGS: usize = 4096;
-/// Angles agree with the edge of a ring to this part of its width.
+/// An angle counts as the edge of a ring if it differs by at most this part of the ring's width.
 const ON_EDGE: f64 = 1e-6;
 
 /// Rings around the optical axis: ring `i` counts electrons with `i width <= theta < (i + 1) width`.
@@ -59,14 +59,14 @@ impl RadialBins {
         i as f64 * self.width_mrad
     }
 
-    /// Calls `put` with each ring that a pixel of a diffraction pattern at `theta_mrad` lies on, and its share there. Edges are
-    /// `ramp_mrad` wide, as those of [`Detector`](super::Detector)s; with 0 a pixel lies on one ring. The shares of an annulus of
-    /// whole rings add to its own.
+    /// Calls `put` with each ring that contains a part of a diffraction pattern's pixel at `theta_mrad`, and with the pixel's share on it.
+    /// Edges are `ramp_mrad` wide, like the edges of [`Detector`](super::Detector)s; with 0 a pixel lies on one ring. The shares on the
+    /// rings of an annulus add to the share on the annulus.
     pub fn shares(&self, theta_mrad: f64, ramp_mrad: f64, mut put: impl FnMut(usize, f64)) {
         let below = |theta: f64| (theta / self.width_mrad).max(0.0) as usize;
         if ramp_mrad <= 0.0 {
             let mut ring = below(theta_mrad);
-            // The quotient is rounded, the edges decide.
+            // The quotient is rounded, so the edges decide.
             while ring > 0 && theta_mrad < self.edge_mrad(ring) {
                 ring -= 1;
             }
@@ -94,7 +94,7 @@ impl RadialBins {
     /// The weights of the rings, `[0, ring]`, that make an annulus (mrad).
     ///
     /// # Errors
-    /// [`Error::Invalid`] for an annulus whose edges are not those of rings, and for one beyond the last ring.
+    /// [`Error::Invalid`] for an annulus whose edges are not edges of rings, and for one beyond the last ring.
     pub fn weights(&self, name: &str, annulus_mrad: [f64; 2]) -> Result<Array2<f32>> {
         let [inner, outer] = annulus_mrad;
         let bad = |expected: String| {
@@ -131,7 +131,7 @@ mod tests {
     use super::super::Detector;
     use super::*;
 
-    /// Whatever the ramp, rings hold what detectors between their edges do.
+    /// Rings contain the intensity of detectors between their edges, for any ramp.
     #[test]
     fn shares_of_rings_add_to_those_of_annuli() {
         for (width, inner, outer) in [(1.0, 68.0, 200.0), (0.1, 4.3, 21.0), (2.5, 0.0, 40.0)] {

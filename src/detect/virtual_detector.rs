@@ -1,4 +1,4 @@
-//! Detectors that are chosen afterwards: images from the diffraction patterns of a scan.
+//! Virtual detectors: images from the recorded diffraction patterns of a scan.
 
 use ndarray::{Array2, ArrayView2, Zip};
 use num_complex::Complex32;
@@ -9,19 +9,19 @@ use crate::error::{Error, Result};
 use crate::fft::{Fft2, frequency};
 use crate::setting::Setting;
 
-/// Points along an edge of a pixel by which the share of its area on a detector is found.
+/// Number of points along an edge of a pixel that measure the share of its area on a detector.
 const POINTS: usize = 16;
 
 /// A ring, or a sector of one, on a pixelated detector.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VirtualDetector {
-    /// Name of the image it gives.
+    /// Name of the detector's image.
     pub name: String,
     /// Inner and outer angle in mrad.
     pub annulus_mrad: [f64; 2],
-    /// From and to which azimuth (degrees, from +x towards +y, which runs down) a sector reaches; `None`: all round.
+    /// Azimuths between which a sector lies (degrees, from +x towards +y, which points down); `None`: a whole ring.
     pub sector_degrees: Option<[f64; 2]>,
-    /// Where its middle is (x, y) in mrad.
+    /// Centre (x, y) in mrad.
     pub centre_mrad: [f64; 2],
 }
 
@@ -40,7 +40,7 @@ impl VirtualDetector {
         })
     }
 
-    /// Equal sectors of a ring: reads `[NAME=]INNER-OUTER:SECTORS[@DEGREES]`, the first beginning at so many degrees. Their names end in
+    /// Equal sectors of a ring: reads `[NAME=]INNER-OUTER:SECTORS[@DEGREES]`; the first sector begins at `DEGREES`. Their names end in
     /// `_0`, `_1`, ...
     ///
     /// # Errors
@@ -67,7 +67,7 @@ impl VirtualDetector {
         Ok((0..number).map(sector).collect())
     }
 
-    /// Whether it is a whole ring around the optical axis.
+    /// Whether the detector is a whole ring around the optical axis.
     pub fn is_annulus(&self) -> bool {
         self.sector_degrees.is_none() && self.centre_mrad == [0.0; 2]
     }
@@ -75,7 +75,7 @@ impl VirtualDetector {
     /// The share of each pixel's area on the detector, `[ky, kx]`.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for angles beyond the pixels of the detector, and for one that no pixel lies on.
+    /// [`Error::Invalid`] for angles beyond the pixels of the detector, and for a detector without any pixel.
     pub fn weights(&self, pixels: &PixelatedDetector) -> Result<Array2<f32>> {
         let given = || {
             let [inner, outer] = self.annulus_mrad;
@@ -133,7 +133,7 @@ pub fn weighted_sum(pattern: ArrayView2<'_, f32>, weights: &Array2<f32>) -> f32 
     sum as f32
 }
 
-/// The centre of mass (x, y) of a pattern in mrad: the mean angle of its electrons. It is 0 for a pattern without any.
+/// The centre of mass (x, y) of a pattern in mrad: the mean angle of its electrons. It is 0 for a pattern without electrons.
 pub fn centre_of_mass_mrad(pattern: ArrayView2<'_, f32>, pixels: &PixelatedDetector) -> [f32; 2] {
     let mut sums = [0.0_f64; 3];
     for ((y, x), v) in pattern.indexed_iter() {
@@ -182,7 +182,7 @@ pub fn integrated_centre_of_mass(
             let (kx, ky) = (k(column, columns, step_angstrom[0]), k(row, rows, step_angstrom[1]));
             let k2 = kx * kx + ky * ky;
             let at = row * fft.stride() + column;
-            // A frequency at Nyquist has no sign, and so no slope.
+            // A frequency at Nyquist has no sign, and so no derivative.
             let alone = |i: usize, n: usize| 2 * i == n;
             if k2 > 0.0 && !alone(row, rows) && !alone(column, columns) {
                 let scale = 1.0 / (TAU * k2 * (rows * columns) as f64);
@@ -219,10 +219,10 @@ mod tests {
             sum += &part;
         }
         assert!(sum.iter().zip(&weights).all(|(a, b)| (a - b).abs() < 1e-6));
-        // +x at first: azimuth 0 lies in the last sector, which ends at 10 degrees.
+        // +x: azimuth 0 lies in the last sector, which ends at 10 degrees.
         let last = sectors[3].weights(&PIXELS).unwrap();
         assert_eq!(last[[32, 32 + 17]], 1.0);
-        // ... and +y, down, in the first.
+        // +y, which points down, lies in the first.
         let first = sectors[0].weights(&PIXELS).unwrap();
         assert_eq!(first[[32 + 17, 33]], 1.0);
     }

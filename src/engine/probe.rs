@@ -236,8 +236,8 @@ fn crop_kernel(from: f64, to: f64, n: usize, centre: usize, pixel: f64) -> Compl
     Complex64::from_polar(sum, phase)
 }
 
-/// Coefficients at `bins` on `grid` of the probe in the grid's middle, relative to this middle, cropped from the large box. The middle is
-/// that of a window with `beyond` pixels before and after it.
+/// Coefficients at `bins` on `grid` of the probe in the grid's middle, relative to this middle, cropped from the large box. The middle
+/// is the middle of a window with `beyond` pixels before and after it.
 fn in_box(plan: &Plan, grid: &Grid, beyond: [usize; 2], bins: &[(usize, usize)]) -> Vec<Complex64> {
     let large = probe_grid(plan);
     let lens = aperture(plan, &large);

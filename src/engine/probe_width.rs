@@ -10,7 +10,7 @@ const MEASURED_WAVELENGTH_ANGSTROM: f64 = 0.025_08;
 /// Thickness in Angstrom up to which the errors of windows were measured.
 pub(super) const MEASURED_THICKNESS_ANGSTROM: f64 = 102.0;
 /// Beyond the measured thickness a window grows by this share of the probe's geometric spread, semiangle times additional
-/// thickness: the errors of SrTiO3 of 195 A then stay below those of 100 A.
+/// thickness: the errors of SrTiO3 at 195 A then stay below the errors at 100 A.
 pub(super) const SPREAD: f64 = 1.2;
 /// Diameter of the Airy disk in units of the wavelength over the semiangle.
 const AIRY: f64 = 1.22;

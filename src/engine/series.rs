@@ -244,7 +244,7 @@ mod tests {
     fn plans(algorithm: Algorithm) -> Vec<Plan> {
         let plan = |defocus: f64| {
             let mut settings = Settings { algorithm, ..Settings::default() };
-            // A small probe box keeps the waves small.
+            // The small outer angle keeps the grids of the waves small.
             settings.detectors = vec![Detector::new("ADF", 40.0, 80.0)];
             settings.optics.aberrations = Aberrations::defocus(defocus);
             settings.phonons = Some(Phonons { configurations: 2, seed: 3 });

@@ -184,13 +184,13 @@ pub struct Settings {
     /// ([`crate::potential::cores`]). Where that does not apply (finite projection, heavy atoms on top of each
     /// other in one slice), it is a number that makes the grid finer than [`POTENTIAL_SAMPLING_ANGSTROM`].
     ///
-    /// A number: potentials are exponentiated on a grid so many times finer along each axis, then the band is limited.
+    /// A number: potentials are exponentiated on a grid finer by this factor along each axis, then the band is limited.
     /// With 1, as in abTEM, the exponential is aliased: the HAADF of heavy columns is 1-4 % too high at 0.02-0.04 A.
     pub oversampling: Option<usize>,
     /// Places atoms as abTEM 1.0.11 does with infinite projection: each is spread bilinearly over the four grid points
-    /// around it, then potentials are multiplied by `u / sin u`, `u` = spatial frequency times pixel, which does not undo
-    /// that. High angles lose up to half their amplitude for atoms between grid points and gain a little for those on them.
-    /// To reproduce abTEM's images, with `oversampling` 1 and its grid.
+    /// around it, then potentials are multiplied by `u / sin u`, `u` = spatial frequency times pixel. The factor does not undo
+    /// the spread: high angles lose up to half their amplitude for atoms between grid points and gain a little for atoms on grid points.
+    /// Use it to reproduce abTEM's images, with `oversampling` 1 and abTEM's grid.
     pub abtem_placement: bool,
     /// Phonons; `None`: atoms stay at the given positions.
     pub phonons: Option<Phonons>,

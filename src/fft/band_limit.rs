@@ -67,7 +67,7 @@ impl BandLimitedMultiplier {
         }
     }
 
-    /// Whether it is for so many rows and has factors, or zeros, for the columns up to `end`.
+    /// Whether the multiplier is made for this number of rows, and has factors, or zeros, for the columns up to `end`.
     pub(super) fn reaches(&self, rows: usize, end: usize) -> bool {
         self.row.len() == rows && end <= self.column.len()
     }

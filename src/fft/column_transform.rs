@@ -12,7 +12,7 @@ use num_complex::Complex32;
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::{DerefMut, Range};
 
-/// How to transform columns of `n` rows.
+/// The plan for columns of `n` rows.
 #[derive(Debug, Clone)]
 pub struct ColumnPlan {
     plan: RadixPlan,
@@ -26,7 +26,7 @@ impl ColumnPlan {
 
     /// Number of `f32` that the scratch of every call must have room for.
     pub fn scratch_len(&self) -> usize {
-        // a block of columns and the multiplier's
+        // Room for a block of columns, and for the block of the multiplier.
         2 * self.plan.points() * 2 * lanes()
     }
 
@@ -35,12 +35,11 @@ impl ColumnPlan {
         self.plan.order()
     }
 
-    /// Forward transform of `columns` of every wave (rows of length `stride`), multiplication, inverse
-    /// transform; unnormalised. The range is rounded up to whole vectors, so rows must be padded (see
-    /// [`lanes`]). The multiplier is worked out once for all waves.
+    /// Forward transform of `columns` of every wave (rows of length `stride`), multiplication, inverse transform; unnormalised. The range
+    /// is rounded up to whole vectors, so rows must be padded ([`lanes`]). The multiplier is computed once for all waves.
     ///
     /// # Panics
-    /// If the columns, so rounded, do not lie within the rows, or the multiplier is for arrays of another shape.
+    /// If the rounded columns do not lie within the rows, or the multiplier is for arrays of another shape.
     pub fn convolve<W: DerefMut<Target = [Complex32]>>(
         &self,
         waves: &mut [W],
@@ -93,7 +92,7 @@ impl ColumnPlan {
     }
 }
 
-/// The end of columns that are rounded up to whole vectors.
+/// The end of a range of columns that is rounded up to whole vectors.
 fn in_vectors(columns: &Range<usize>) -> usize {
     columns.start.saturating_add(columns.len().next_multiple_of(lanes()))
 }
@@ -169,7 +168,7 @@ impl WithSimd for Transform<'_> {
 /// One block of columns of the matrix at `data`: as many from `first` on as a vector has lanes, in rows `stride` floats apart.
 ///
 /// Every method needs the matrix to have these columns in as many rows as the kernel's plan has numbers, the kernel's scratch to have
-/// room for those, and nothing else to read or write either meanwhile. All rows that are read and written are numbers of the plan.
+/// room for these numbers, and nothing else to read or write either meanwhile. All rows that are read and written are numbers of the plan.
 struct ColumnBlock<'a, S: Simd> {
     kernel: &'a RadixPasses<'a, S>,
     data: *mut f32,

@@ -91,8 +91,8 @@ impl Fft2 {
         BandLimitedMultiplier::new(order, row, row_k2, column, column_k2, band_limit)
     }
 
-    /// Forward transform of the columns of every wave, multiplication, inverse transform; unnormalised.
-    /// Columns outside `ranges` stay as they are; ranges are rounded up to whole SIMD vectors.
+    /// Forward transform of the columns of every wave, multiplication, inverse transform; unnormalised. Columns outside `ranges` are not
+    /// changed; ranges are rounded up to whole SIMD vectors.
     pub fn convolve_columns<W: DerefMut<Target = [Complex32]>>(
         &self,
         waves: &mut [W],

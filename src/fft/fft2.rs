@@ -9,13 +9,13 @@ use rustfft::{Fft, FftPlanner};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// One thread's work space for [`Fft2`]; its contents do not matter.
+/// One thread's work space for [`Fft2`], with arbitrary contents.
 pub struct Scratch {
     pub(super) single: Vec<Complex32>,
     pub(super) block: Buffer,
 }
 
-/// How columns are transformed.
+/// The method for transforming columns.
 pub(super) enum ColumnKernel {
     /// In SIMD blocks.
     Blocked(ColumnPlan),
@@ -41,8 +41,7 @@ impl Fft2 {
         Self::with_kernel(ny, nx, true)
     }
 
-    /// As [`Fft2::new`]; `blocked = false` sends rows and columns one by one through `rustfft`, the
-    /// reference for the SIMD blocks.
+    /// As [`Fft2::new`]; with `blocked = false`, `rustfft` transforms rows and columns one by one, as the reference for the SIMD blocks.
     pub fn with_kernel(ny: usize, nx: usize, blocked: bool) -> Self {
         assert!(ny > 0 && nx > 0, "empty transform");
         let mut planner = FftPlanner::new();
@@ -75,8 +74,7 @@ impl Fft2 {
         self.stride
     }
 
-    /// A zeroed array of this plan: ny rows of [`Fft2::stride`] elements, and as many more rows as
-    /// complete the last block.
+    /// A zeroed array of this plan: ny rows of [`Fft2::stride`] elements, and further rows that complete the last block.
     pub fn buffer(&self) -> Buffer {
         Buffer::zeros(self.buffer_len())
     }
@@ -229,7 +227,7 @@ mod tests {
 
     fn filled(fft: &Fft2) -> Buffer {
         let mut data = fft.buffer();
-        // padding holds noise as well: it must not matter
+        // The padding holds noise too, to test that it has no effect.
         let values = noise(data.len());
         data.copy_from_slice(&values);
         data
@@ -321,7 +319,7 @@ mod tests {
         fft.convolve_columns(&mut [&mut *data], &all, &other, &mut fft.scratch());
     }
 
-    /// Columns up to the first live one are zeros in scratch, which has no room for these.
+    /// Columns up to the first live one are zeros in scratch. Scratch has no room for columns beyond the rows.
     #[test]
     #[should_panic(expected = "is not within 16 columns")]
     fn live_columns_beyond_the_rows_are_refused() {

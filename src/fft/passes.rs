@@ -8,7 +8,7 @@ use super::butterfly::{Lanes, dft, inverse_dft, mul, mul_conj, splat};
 use super::radix_plan::{RadixPlan, RadixStage};
 use pulp::Simd;
 
-/// What is done to each number between a transform and its inverse; `position` counts in the plan's order.
+/// The operation on each number between a transform and its inverse; `position` counts in the plan's order.
 pub trait Middle<S: Simd> {
     /// # Safety
     /// `position` must be below the plan's length.
@@ -111,7 +111,7 @@ impl<S: Simd> RadixPasses<'_, S> {
     /// Stages `level..` forward, `middle`, and back, for one of the transforms that stage `level` splits.
     ///
     /// # Safety
-    /// `data` must point to the plan's numbers, and `base` to the first number of such a transform.
+    /// `data` must point to the plan's numbers, and `base` to the first number of one of these transforms.
     #[inline(always)]
     unsafe fn convolve_part<M: Middle<S>>(&self, level: usize, base: usize, middle: &M) {
         // At most 7 levels below the first; written as loops over positions rather than by
@@ -186,7 +186,8 @@ impl<S: Simd> RadixPasses<'_, S> {
     /// Twiddle factors and butterfly of an inverse stage.
     ///
     /// # Safety
-    /// Those of a forward stage and of [`Self::twiddled`].
+    /// `data` must point to the plan's numbers, `R` must be the stage's radix, `base` and the stage's length must lie within the plan, and
+    /// `j` must be below the length over the radix.
     #[inline(always)]
     pub unsafe fn untwiddled<const R: usize>(
         &self,

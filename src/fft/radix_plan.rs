@@ -8,7 +8,7 @@ const RADICES: [usize; 5] = [8, 5, 4, 3, 2];
 /// One pass over the data.
 #[derive(Debug, Clone)]
 pub struct RadixStage {
-    /// Length of its butterflies.
+    /// Length of the stage's butterflies.
     pub radix: usize,
     /// Length of the transforms that this stage splits.
     pub len: usize,
@@ -16,7 +16,7 @@ pub struct RadixStage {
     pub twiddles: Vec<[f32; 2]>,
 }
 
-/// How to transform `n` numbers in place.
+/// The plan for transforming `n` numbers in place.
 #[derive(Debug, Clone)]
 pub struct RadixPlan {
     n: usize,
@@ -73,7 +73,7 @@ impl RadixPlan {
         Some(RadixPlan { n, stages, order })
     }
 
-    /// Numbers transformed.
+    /// Number of transformed numbers.
     pub fn points(&self) -> usize {
         self.n
     }

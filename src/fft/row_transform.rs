@@ -11,11 +11,11 @@ use num_complex::Complex32;
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
 
-/// How to transform blocks of [`lanes`] rows of `n` columns.
+/// The plan for blocks of [`lanes`] rows of `n` columns.
 #[derive(Debug, Clone)]
 pub struct RowPlan {
     plan: RadixPlan,
-    /// Where each column is found after the forward passes.
+    /// Position of each column after the forward passes.
     position: Vec<usize>,
 }
 
@@ -66,7 +66,7 @@ impl RowPlan {
     /// vectors.
     ///
     /// # Panics
-    /// If a range, so rounded, ends beyond the padded columns.
+    /// If a rounded range ends beyond the padded columns.
     pub fn convolve(
         &self,
         rows: &mut [Complex32],

@@ -1,8 +1,8 @@
 //! Moves complex numbers between memory and SIMD lanes: splits them into real and imaginary parts, and transposes
 //! tiles of rows so that each lane holds one row.
 //!
-//! The order of lanes within a vector is whatever is cheapest on the processor; it is the same for
-//! everything that these functions load, so lanes of different arrays always match.
+//! The order of lanes within a vector is the cheapest one on the processor. It is the same for everything that these functions load, so
+//! lanes of different arrays always match.
 
 use super::butterfly::Lanes;
 use pulp::Simd;
@@ -16,8 +16,8 @@ pub const fn columns<S: Simd>() -> usize {
     if S::F32_LANES < 2 { 1 } else { S::F32_LANES / 2 }
 }
 
-/// What pointers to the floats of lanes take for granted: lanes are two vectors of floats and nothing else, and there is room for
-/// all columns of a tile.
+/// Checks the assumptions of pointers to the floats of lanes: lanes are two vectors of floats and nothing else, and a tile's array has room
+/// for all columns.
 const fn check_layout<S: Simd>() {
     assert!(size_of::<Lanes<S>>() == 2 * S::F32_LANES * size_of::<f32>());
     assert!(columns::<S>() <= MOST_COLUMNS);
@@ -35,7 +35,7 @@ pub fn split<S: Simd>(simd: S, pair: [S::f32s; 2]) -> Lanes<S> {
     (re, im)
 }
 
-/// Undoes [`split`].
+/// Inverts [`split`].
 #[inline(always)]
 pub fn join<S: Simd>(simd: S, v: Lanes<S>) -> [S::f32s; 2] {
     // SAFETY: `simd` is there only on processors that have its instructions.
@@ -76,7 +76,7 @@ pub unsafe fn load<S: Simd>(simd: S, tile: *const f32, stride: usize) -> [Lanes<
     out
 }
 
-/// Undoes [`load`].
+/// Inverts [`load`].
 ///
 /// # Safety
 /// As for [`load`], with `tile` writable; the processor must have the instructions of `S`.
@@ -102,8 +102,8 @@ pub unsafe fn store<S: Simd>(v: &[Lanes<S>; MOST_COLUMNS], tile: *mut f32, strid
     }
 }
 
-/// The same by shuffles of AVX-512 and AVX2. Every function asks which instruction set `S` stands for;
-/// the answer is known at compile time.
+/// Shuffles of AVX-512 and AVX2 for these functions. Every function asks which instruction set `S` stands for; the answer is known at
+/// compile time.
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use super::{Lanes, MOST_COLUMNS, Simd};
@@ -379,7 +379,7 @@ mod tests {
                         }
                     }
                 }
-                // split() puts its numbers into the same order of lanes
+                // split() puts its numbers into the order of lanes that load() uses.
                 let column: Vec<f32> =
                     (0..rows).flat_map(|r| [data[r * stride], data[r * stride + 1]]).collect();
                 let pair = column.as_ptr().cast::<[S::f32s; 2]>().read_unaligned();

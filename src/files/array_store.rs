@@ -1,8 +1,8 @@
-//! Arrays on disk, each in a file of its own: the sub-tiles of an interrupted build, the images of a library.
+//! Stores arrays on disk, each in a separate file: the sub-tiles of an interrupted build, the images of a library.
 //!
-//! A file holds what the array is (a key), its shape, its values and a SHA-256 of all that, so that a damaged file, or a
-//! whole one under another's name, is never taken for the right one. Files appear complete or not at all; two processes
-//! that write the same array do no harm.
+//! A file holds a key that describes the array, its shape, its values and a SHA-256 of all these. A damaged file, or a complete file under
+//! another name, is therefore never taken for the right one. Files appear complete or not at all; two processes that write the same array
+//! do no harm.
 
 use std::fs::{self, File};
 use std::io::{ErrorKind, Read};
@@ -16,7 +16,7 @@ use crate::files::atomic_write;
 use crate::files::outputs::set_aside;
 
 const MAGIC: &[u8; 8] = b"STEMARR1";
-/// Bytes before the key: magic, rows, columns, lengths of key and note.
+/// Number of bytes before the key: magic, rows, columns, lengths of key and note.
 const HEAD: usize = 8 + 4 * 4;
 const DIGEST: usize = 32;
 
@@ -27,43 +27,43 @@ pub struct ArrayStore {
     extension: &'static str,
 }
 
-/// What lies under a name.
+/// Result of looking up a name.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Stored {
-    /// The array that was asked for, [row, column].
+    /// The requested array, [row, column].
     Whole(Array2<f32>),
-    /// Nothing.
+    /// No file.
     Missing,
-    /// Something else, and what is wrong with it.
+    /// A file that cannot be used, with the reason.
     Unusable(&'static str),
 }
 
 impl ArrayStore {
-    /// The arrays in `folder`, in files with this ending. The folder is made when first written to.
+    /// Returns the store of arrays in `folder`, in files with this ending. The folder is made at the first write.
     pub fn new(folder: PathBuf, extension: &'static str) -> Self {
         ArrayStore { folder, extension }
     }
 
-    /// The folder.
+    /// Returns the folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// The file of an array.
+    /// Returns the path of an array's file.
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.join(format!("{name}.{}", self.extension))
     }
 
-    /// The array under `name`, if it was saved under this key with this shape (rows, columns) and is whole.
+    /// Loads the array under `name`, if it was saved under this key with this shape (rows, columns) and is complete.
     pub fn load(&self, name: &str, key: &str, shape: [usize; 2]) -> Stored {
         let path = self.path(name);
-        // A pipe or a device may never end.
+        // Reading a pipe or a device may never end.
         if fs::metadata(&path).is_ok_and(|there| !there.is_file()) {
             return Stored::Unusable("is no regular file");
         }
         match fs::read(&path) {
             Ok(bytes) => decoded(&bytes, key, shape).map_or_else(Stored::Unusable, Stored::Whole),
-            // Nor can anything lie below a file.
+            // The folder may also be a file, below which nothing can lie.
             Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
                 Stored::Missing
             }
@@ -71,7 +71,7 @@ impl ArrayStore {
         }
     }
 
-    /// Saves an array [row, column]. `key` says all that decides its values; `note` is for people who look into the file.
+    /// Saves an array [row, column]. `key` describes everything that decides its values; `note` is for people who look into the file.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -82,8 +82,8 @@ impl ArrayStore {
         atomic_write::write(&path, &encoded(key, note, array))
     }
 
-    /// Puts the bytes of a file that [`checked`] found whole under a name, unless a whole one of this key is there. Returns whether it
-    /// did.
+    /// Stores the bytes of a file that [`checked`] found complete, unless a complete file of this key exists. Returns whether it stored
+    /// them.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -99,7 +99,7 @@ impl ArrayStore {
         Ok(true)
     }
 
-    /// The files of arrays in the folder, and what writers that were killed have left; none where there is no folder.
+    /// Returns the files of arrays in the folder, and files that killed writers have left; both are empty if there is no folder.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -122,13 +122,13 @@ impl ArrayStore {
         Ok(found)
     }
 
-    /// The notes of all arrays in the folder that can be read.
+    /// Returns the notes of all readable arrays in the folder.
     pub fn notes(&self) -> Vec<String> {
         let files = self.files().unwrap_or_default().arrays;
         files.iter().filter_map(|path| note(path)).collect()
     }
 
-    /// Removes all arrays and leftovers, and the folder if nothing else lies in it.
+    /// Removes all arrays and leftovers, and the folder if it is then empty.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -157,7 +157,7 @@ fn is_array(path: &Path) -> bool {
     File::open(path).and_then(|mut f| f.read_exact(&mut first)).is_ok() && first == *MAGIC
 }
 
-/// The note of an array's file, which need not be whole.
+/// Reads the note of an array's file, which may be incomplete.
 fn note(path: &Path) -> Option<String> {
     let mut file = File::open(path).ok()?;
     let mut head = [0; HEAD];
@@ -185,27 +185,27 @@ fn encoded(key: &str, note: &str, array: &Array2<f32>) -> Vec<u8> {
     bytes
 }
 
-/// The note of the array that the bytes of a file hold under a key, or what is wrong with them.
+/// Checks the bytes of a file against a key, and returns the note of its array.
 ///
 /// # Errors
-/// What is wrong.
+/// The reason for which the file cannot be used.
 pub fn checked(bytes: &[u8], key: &str) -> std::result::Result<String, &'static str> {
     array_of(bytes, key)?;
     note_of(bytes)
 }
 
-/// The array [row, column] that the bytes of a file hold under a key, whatever its shape is.
+/// Returns the array [row, column] of any shape in the bytes of a file, if it was saved under this key.
 ///
 /// # Errors
-/// What is wrong with the file.
+/// The reason for which the file cannot be used.
 pub fn array_of(bytes: &[u8], key: &str) -> std::result::Result<Array2<f32>, &'static str> {
     decoded(bytes, key, shape_of(bytes).ok_or("is cut off")?)
 }
 
-/// The note in the bytes of a file, which need not be whole otherwise.
+/// Reads the note in the bytes of a file, which may be incomplete otherwise.
 ///
 /// # Errors
-/// What is wrong with the file.
+/// The reason for which the file cannot be used.
 pub fn note_of(bytes: &[u8]) -> std::result::Result<String, &'static str> {
     shape_of(bytes).ok_or("is cut off")?;
     let note = HEAD + number(bytes, 2)..HEAD + number(bytes, 2) + number(bytes, 3);
@@ -217,16 +217,16 @@ fn shape_of(bytes: &[u8]) -> Option<[usize; 2]> {
     (bytes.len() >= HEAD).then(|| [number(bytes, 0), number(bytes, 1)])
 }
 
-/// A number of the head.
+/// Reads a number of the header.
 fn number(bytes: &[u8], n: usize) -> usize {
     let at = MAGIC.len() + 4 * n;
     u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]) as usize
 }
 
-/// The array [row, column] in the bytes of a file, if it was saved under this key with this shape (rows, columns) and is whole.
+/// Returns the array [row, column] in the bytes of a file, if it was saved under this key with this shape (rows, columns) and is complete.
 ///
 /// # Errors
-/// What is wrong with the file.
+/// The reason for which the file cannot be used.
 pub fn decoded(
     bytes: &[u8],
     key: &str,
@@ -276,7 +276,7 @@ mod tests {
         assert_eq!(store.load("a", "key of a", [3, 5]), Stored::Whole(array));
         assert_eq!(store.load("b", "key of a", [3, 5]), Stored::Missing);
         assert!(matches!(store.load("a", "key of a", [5, 3]), Stored::Unusable(_)));
-        // a whole file under the name of another
+        // A complete file under the name of another.
         fs::copy(store.path("a"), store.path("b")).unwrap();
         let Stored::Unusable(why) = store.load("b", "key of b", [3, 5]) else { panic!() };
         assert!(why.contains("another"), "{why}");

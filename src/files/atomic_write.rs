@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use std::io::Write;
 use std::path::Path;
 
-/// Beginning and end of the names of unfinished files.
+/// Prefix and suffix of the names of unfinished files.
 const PREFIX: &str = ".stemgen-";
 const SUFFIX: &str = ".partial";
 
@@ -22,11 +22,11 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     sync_folder(path)
 }
 
-/// Has `write` fill a temporary file beside `path`, given its name, and then syncs and renames it.
-/// An existing file is replaced only if `overwrite`.
+/// Lets `write` fill a temporary file beside `path`, whose path it receives, and then syncs and renames the file. An existing file is
+/// replaced only if `overwrite` is set.
 ///
 /// # Errors
-/// [`Error::Io`], and those of `write`.
+/// [`Error::Io`], and errors of `write`.
 pub fn write_with(
     path: &Path,
     overwrite: bool,
@@ -40,7 +40,7 @@ pub fn write_with(
     sync_folder(path)
 }
 
-/// Makes the name of a file that was put in place last through a power failure.
+/// Syncs the folder of a file that was moved into place, so that its name survives a power failure.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -62,7 +62,7 @@ pub fn sync_folder(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// An empty temporary file in the directory of `path`.
+/// Makes an empty temporary file in the directory of `path`.
 fn beside(path: &Path) -> Result<(tempfile::NamedTempFile, Unfinished)> {
     let directory = super::outputs::folder(path);
     Unfinished::of(|| create(directory), tempfile::NamedTempFile::path)
@@ -78,7 +78,7 @@ pub fn is_leftover(path: &Path) -> bool {
 fn create(directory: &Path) -> std::io::Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
-    // The umask applies; without this the file would stay private to its owner.
+    // With this mode the umask applies; otherwise the file would stay private to its owner.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder.tempfile_in(directory)

@@ -1,11 +1,10 @@
-//! Whether there is room on the disk for a result, asked before hours of work.
+//! Checks, before hours of work, whether the disk has room for a result.
 
 use super::outputs::folder;
 use crate::error::{Error, Result};
 use std::path::Path;
 
-/// Bytes that may still be written on the disk of an existing folder; unknown where the system does
-/// not say.
+/// Returns the number of bytes that may still be written on the disk of an existing folder; `None` if the system does not report it.
 pub fn free_bytes(folder: &Path) -> Option<u64> {
     #[cfg(unix)]
     {
@@ -19,10 +18,10 @@ pub fn free_bytes(folder: &Path) -> Option<u64> {
     }
 }
 
-/// Fails if the disk of `output` has less than `needed_bytes` free. The folder has to exist.
+/// Fails if the disk of `output` has less than `needed_bytes` free. The folder must exist.
 ///
 /// # Errors
-/// [`Error::DiskSpace`] naming the folder, what is needed and what is free.
+/// [`Error::DiskSpace`] with the folder and the needed and free bytes.
 pub fn check_space(output: &Path, needed_bytes: u64) -> Result<()> {
     let path = folder(output);
     match free_bytes(path) {
@@ -33,8 +32,8 @@ pub fn check_space(output: &Path, needed_bytes: u64) -> Result<()> {
     }
 }
 
-/// Fails if the disks of some places have less than what they need together: `needed` is a list of files or folders, of which some
-/// may not be there yet, and bytes.
+/// Fails if the disk of some places has less free space than these places need together: `needed` is a list of files or folders, of which
+/// some may not exist yet, and bytes.
 ///
 /// # Errors
 /// [`Error::DiskSpace`] as [`check_space`].
@@ -59,12 +58,12 @@ pub fn check_places(needed: &[(&Path, u64)]) -> Result<()> {
     Ok(())
 }
 
-/// Bytes that may still be written below a folder that may not be there yet; unknown where the system does not say.
+/// Returns the number of bytes that may still be written below a folder that may not exist yet; `None` if the system does not report it.
 pub fn free_bytes_below(folder: &Path) -> Option<u64> {
     free_bytes(existing(folder))
 }
 
-/// The nearest folder on the way to a path that exists.
+/// Returns the nearest existing folder on the way to a path.
 fn existing(path: &Path) -> &Path {
     let above = path.ancestors().filter(|p| !p.as_os_str().is_empty());
     above.into_iter().find(|p| p.is_dir()).unwrap_or(Path::new("."))
@@ -95,7 +94,7 @@ mod tests {
 
     fn skipped() {
         let line = "SKIPPED: the free space of the disk is unknown\n";
-        // Not with `eprintln!`, which the test harness keeps to itself.
+        // `eprintln!` is not used, since the test harness captures it.
         std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes()).unwrap();
     }
 

@@ -1,4 +1,4 @@
-//! Checksums of whole files.
+//! Computes checksums of whole files.
 
 use std::fs::File;
 use std::io::Read;
@@ -8,10 +8,10 @@ use sha2::{Digest, Sha256};
 
 use crate::error::{Error, Result};
 
-/// Bytes that are read at a time.
+/// Number of bytes that are read at a time.
 const BLOCK: usize = 1 << 20;
 
-/// The SHA-256 of a file as hexadecimal text, and its size in bytes.
+/// Returns the SHA-256 of a file as hexadecimal text, and its size in bytes.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -31,7 +31,7 @@ pub fn sha256_of_file(path: &Path) -> Result<(String, u64)> {
     read().map_err(|e| Error::io(path, "read", e))
 }
 
-/// The SHA-256 of some bytes as hexadecimal text.
+/// Returns the SHA-256 of some bytes as hexadecimal text.
 pub fn sha256_of_bytes(bytes: &[u8]) -> String {
     hexadecimal(&Sha256::digest(bytes))
 }

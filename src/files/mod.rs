@@ -1,5 +1,5 @@
-//! How results get to the disk: complete or not at all, by one process at a time, with room for them, and checked when they
-//! are read again.
+//! Writes results to disk: completely or not at all, by one process at a time, with a check of free space, and with digests that are
+//! checked on reading.
 
 pub mod array_store;
 pub mod atomic_write;

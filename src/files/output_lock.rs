@@ -1,4 +1,4 @@
-//! The right of one process to write an output.
+//! Locks for outputs, so that only one process writes an output.
 
 use super::outputs::{LOCK, beside};
 use super::unfinished::Unfinished;
@@ -9,29 +9,27 @@ use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// The right to write an output: a locked file `<output>.lock` beside it, which names the holder. The
-/// system gives the lock back when the process ends, however that happens; the file goes when this is
-/// dropped.
+/// The right to write an output: a locked file `<output>.lock` beside it, which names the holder. The system releases the lock whenever the
+/// process ends; the file is removed when this value is dropped.
 #[derive(Debug)]
 pub struct OutputLock {
     path: PathBuf,
-    /// Holds the lock while open.
+    /// The open file holds the lock.
     file: File,
     _unfinished: Option<Unfinished>,
 }
 
-/// Who may hold a lock beside this process.
+/// Other holders that a lock allows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Holders {
-    /// Nobody.
+    /// No other process.
     One,
-    /// Others that share it.
+    /// Other processes that share the lock.
     Several,
 }
 
 impl OutputLock {
-    /// Locks `output` for this process. The folder has to exist. Where the system has no locks, there
-    /// is none.
+    /// Locks `output` for this process. The folder must exist. If the system has no locks, the output is not locked.
     ///
     /// # Errors
     /// [`Error::Locked`] naming the holder, [`Error::Io`].
@@ -39,10 +37,10 @@ impl OutputLock {
         Self::lock(output, Holders::One)
     }
 
-    /// Locks `output` for this process and all others that share it: those that make parts of it.
+    /// Locks `output` for this process together with all processes that make parts of it.
     ///
     /// # Errors
-    /// As [`OutputLock::hold`], if a process holds it alone.
+    /// As [`OutputLock::hold`], if a process holds the lock alone.
     pub fn share(output: &Path) -> Result<Self> {
         Self::lock(output, Holders::Several)
     }
@@ -59,7 +57,7 @@ impl OutputLock {
         };
         loop {
             let fail = |e| Error::io(&path, "create", e);
-            // A link would have a file made, or changed, elsewhere.
+            // Through a link, a file elsewhere would be made or changed.
             if std::fs::symlink_metadata(&path).is_ok_and(|there| !there.is_file()) {
                 return foreign();
             }
@@ -71,9 +69,9 @@ impl OutputLock {
                 .open(&path)
                 .map_err(fail)?;
             if !try_lock(&file, holders).map_err(fail)? {
-                // An unreadable name of the holder makes the message poorer, not the lock weaker.
+                // If the name of the holder cannot be read, the message is less informative, but the lock still holds.
                 let found = beginning(&file).unwrap_or_default();
-                // The last of those that share it holds it alone for a moment.
+                // The last of the processes that share the lock holds it alone for a moment.
                 if found.starts_with(SHARED) && patience > 0 {
                     patience -= 1;
                     std::thread::sleep(MOMENT);
@@ -89,7 +87,7 @@ impl OutputLock {
             if !is_still(&file, &path) {
                 continue;
             }
-            // Without a word where its holder was ended between making and filling it.
+            // The file is empty if its holder ended between making and filling it.
             let found = beginning(&file).map_err(fail)?;
             if !(found.is_empty() || found.starts_with(PROCESS)) {
                 return foreign();
@@ -107,7 +105,7 @@ impl OutputLock {
                 }
                 Holders::Several if found.starts_with(SHARED) => None,
                 Holders::Several => {
-                    // All that share it write the same.
+                    // All processes that share the lock write the same text.
                     file.set_len(0).and_then(|()| file.rewind()).map_err(fail)?;
                     file.write_all(SHARED.as_bytes()).map_err(fail)?;
                     None
@@ -120,7 +118,7 @@ impl OutputLock {
 
 impl Drop for OutputLock {
     fn drop(&mut self) {
-        // A lock file that stays behind holds nothing. The last of those that share one removes it.
+        // A lock file that stays behind holds no lock. The last of the processes that share it removes it.
         if !try_lock(&self.file, Holders::One).unwrap_or(false) {
             return;
         }
@@ -128,26 +126,27 @@ impl Drop for OutputLock {
     }
 }
 
-/// How often, and how long each time, a lock that processes share is waited for: by one that wants it alone, which is refused while
-/// others have it, and by one that shares it, whom only the last one's moment keeps out, however slow the machine is.
+/// Number and length of the waits for a shared lock. A process that wants the lock alone waits [`MOMENTS`] times: it is refused while
+/// others share the lock. A process that shares it waits [`MANY_MOMENTS`] times: only the last sharer's moment keeps it out, even on a slow
+/// machine.
 const MOMENTS: usize = 10;
 const MANY_MOMENTS: usize = 500;
 const MOMENT: Duration = Duration::from_millis(20);
-/// How the text in a lock begins.
+/// Prefix of the text in a lock.
 const PROCESS: &str = "process ";
-/// The text in a lock that processes share.
+/// The text in a shared lock.
 const SHARED: &str = "process that makes a part of it (a shard)\n";
-/// Bytes of a lock that are read.
+/// Number of bytes of a lock that are read.
 const READ_BYTES: u64 = 1 << 16;
 
-/// The first part of a file; what is no text is shown as such.
+/// Returns the first part of a file; bytes that are no text are replaced.
 fn beginning(file: &File) -> std::io::Result<String> {
     let mut bytes = Vec::new();
     file.take(READ_BYTES).read_to_end(&mut bytes)?;
     Ok(String::from_utf8_lossy(&bytes).into_owned())
 }
 
-/// This process, for others to find: `process 1234 on host (stemgen build srtio3 ...)`.
+/// Describes this process for others: `process 1234 on host (stemgen build srtio3 ...)`.
 fn myself() -> String {
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let on = match host.trim() {
@@ -173,7 +172,7 @@ fn try_lock(file: &File, holders: Holders) -> std::io::Result<bool> {
     match flock(file, operation) {
         Ok(()) => Ok(true),
         Err(rustix::io::Errno::WOULDBLOCK) => Ok(false),
-        // File systems without locks.
+        // The file system has no locks.
         Err(rustix::io::Errno::NOTSUP | rustix::io::Errno::NOSYS | rustix::io::Errno::NOLCK) => {
             Ok(true)
         }
@@ -186,7 +185,7 @@ fn try_lock(_: &File, _: Holders) -> std::io::Result<bool> {
     Ok(true)
 }
 
-/// Whether `path` names the open file.
+/// Whether `path` still names the open file.
 fn is_still(file: &File, path: &Path) -> bool {
     #[cfg(unix)]
     {
@@ -218,7 +217,7 @@ mod tests {
         OutputLock::hold(&folder.path().join("other.h5")).unwrap();
         drop(first);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-        // What a process that was killed leaves behind.
+        // Lock files that a killed process leaves.
         for left in ["process 1", ""] {
             std::fs::write(folder.path().join("w.h5.lock"), left).unwrap();
             OutputLock::hold(&output).unwrap();

@@ -1,8 +1,8 @@
-//! Several outputs of one command. Each appears whole or not at all; if the command is ended between two of them, the same command
-//! makes what is missing, as a build does.
+//! Several outputs of one command. Each appears complete or not at all. If the command ends between two of them, the next run of that
+//! command makes the missing ones, as a build does.
 //!
-//! Before the first output gets its name, a note beside it (`<output>.unfinished`) tells which command is at work; it goes when the
-//! last output is in place. Where the note is found, the outputs that lie there are of that command, and it may replace them.
+//! Before the first output gets its name, a note beside it (`<output>.unfinished`) records the command; it is removed when the last output
+//! is in place. If the note is found, the existing outputs belong to that command, which may replace them.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -16,7 +16,7 @@ use crate::setting::Setting;
 /// First line of a note.
 const TITLE: &str = "stemgen was ended before all files of this command were written; the same command writes them:";
 
-/// See the module.
+/// The outputs of one command.
 #[derive(Debug)]
 pub struct OutputSet {
     first: PathBuf,
@@ -28,7 +28,7 @@ pub struct OutputSet {
 }
 
 impl OutputSet {
-    /// The outputs of a command, of which `first` is the first to be written.
+    /// Returns the outputs of a command, of which `first` is written first.
     #[must_use]
     pub fn of(first: &Path, command: &str, overwrite: bool) -> Self {
         let note = beside(first, UNFINISHED);
@@ -37,13 +37,13 @@ impl OutputSet {
         OutputSet { first: first.to_owned(), note, text, overwrite, left, begun: false }
     }
 
-    /// Whether outputs that are there may be replaced: the user says so, or an earlier run of this command has left them.
+    /// Whether existing outputs may be replaced: because the user allows it, or because an earlier run of this command has left them.
     #[must_use]
     pub fn replaces(&self) -> bool {
         self.overwrite || self.left
     }
 
-    /// What to tell of an earlier run that was ended between its outputs.
+    /// Returns the warning about an earlier run that ended between its outputs.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
         let message =
@@ -51,10 +51,10 @@ impl OutputSet {
         self.left.then(|| format!("{}: {message}", self.note.display()))
     }
 
-    /// Notes that outputs are about to get their names.
+    /// Writes the note, before outputs get their names.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a file of somebody else where the note goes, [`Error::Io`].
+    /// [`Error::Invalid`] for a foreign file at the path of the note, [`Error::Io`].
     pub fn begin(&mut self) -> Result<()> {
         let foreign = match fs::read(&self.note) {
             Ok(found) => !found.starts_with(TITLE.as_bytes()),
@@ -69,7 +69,7 @@ impl OutputSet {
         Ok(())
     }
 
-    /// Removes the note: all outputs are in place.
+    /// Removes the note, since all outputs are in place.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -82,7 +82,7 @@ impl OutputSet {
 }
 
 impl Drop for OutputSet {
-    /// A command that failed before its first output has left nothing to go on from.
+    /// Removes the note of a command that failed before its first output.
     fn drop(&mut self) {
         if self.begun && !self.first.exists() {
             let _ = fs::remove_file(&self.note);

@@ -1,5 +1,5 @@
-//! Where results may go: before any work, what could not be written at the end is refused, and so is what would replace
-//! something of value.
+//! Checks the paths of results before any work: paths that cannot be written are refused, and so are paths at which something of value
+//! would be replaced.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Checks the files that a command will write. Makes their folders where there are none.
+/// Checks the files that a command will write. Makes their folders if they do not exist.
 ///
 /// # Errors
-/// [`Error::Invalid`] for a folder, a device or another thing that is no regular file, for one of the `inputs`, for two results
-/// that would go to one file, and for an existing file unless `overwrite`; [`Error::Io`] where nothing can be written.
+/// [`Error::Invalid`] for a folder, a device or another path that is no regular file, for one of the `inputs`, for two results in one file,
+/// and for an existing file unless `overwrite` is set; [`Error::Io`] if nothing can be written.
 pub fn check_outputs<P: AsRef<Path>, Q: AsRef<Path>>(
     outputs: impl IntoIterator<Item = P>,
     inputs: impl IntoIterator<Item = Q>,
@@ -71,19 +71,19 @@ pub fn check_outputs<P: AsRef<Path>, Q: AsRef<Path>>(
     Ok(())
 }
 
-/// Ending of the file that an output is until it is complete.
+/// Ending of an output's file while it is incomplete.
 pub const PARTIAL: &str = ".partial";
-/// Ending of the file that tells who writes an output.
+/// Ending of the file that names the process that writes an output.
 pub const LOCK: &str = ".lock";
 /// Ending of the folder in which a build keeps its work until its output is complete.
 pub const WORK: &str = ".work";
 
-/// Ending of the note that tells which command is about to put several outputs in place.
+/// Ending of the note that names the command whose outputs are being put in place.
 pub const UNFINISHED: &str = ".unfinished";
-/// Ending of a folder that lay where a file of this program goes.
+/// Ending of a folder that was moved aside for a file of this program.
 const ASIDE: &str = ".aside";
 
-/// Makes room for a file of this program where a folder lies: an empty one goes, one that holds something gets another name.
+/// Makes room for a file of this program if a folder lies at its path: an empty folder is removed, another one is renamed.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -96,14 +96,14 @@ pub fn set_aside(path: &Path) -> Result<()> {
     fs::rename(path, &aside).map_err(|e| Error::io(path, "move aside", e))
 }
 
-/// `path` with something after its name.
+/// Returns `path` with an ending after its name.
 pub fn beside(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(ending);
     PathBuf::from(name)
 }
 
-/// Whether an input has the name of what a build keeps beside `output` until it is finished, and then removes.
+/// Whether an input has the name of a file or folder that a build keeps beside `output` until it is finished, and then removes.
 fn is_unfinished_part(input: &Path, output: &Path) -> bool {
     let Ok(input) = input.canonicalize() else { return false };
     let [partial, lock, work] =
@@ -112,13 +112,13 @@ fn is_unfinished_part(input: &Path, output: &Path) -> bool {
         || work.is_some_and(|work| input.starts_with(work))
 }
 
-/// The folder that an input is, such as a zarr array, without links and detours.
+/// Returns the folder of an input that is a folder, such as a zarr array, without links and detours.
 fn whole_folder<P: AsRef<Path>>(input: P) -> Option<PathBuf> {
     input.as_ref().is_dir().then(|| input.as_ref().canonicalize().ok())?
 }
 
-/// Whether a path is a node below `/dev` or `/proc`, such as `/dev/stdout`, or a link that leads there. What stands behind it may be a
-/// regular file (`> file` in a shell), but a rename would replace the node.
+/// Whether a path is a node below `/dev` or `/proc`, such as `/dev/stdout`, or a link to one. The node may lead to a regular file (`> file`
+/// in a shell), but a rename would replace the node.
 fn is_of_the_system(path: &Path) -> bool {
     const MOST_LINKS: usize = 40;
     let mut at = path.to_owned();
@@ -136,13 +136,13 @@ fn is_of_the_system(path: &Path) -> bool {
     true
 }
 
-/// Whether a path can only be that of a folder, such as `new/` or `..`.
+/// Whether a path can only name a folder, such as `new/` or `..`.
 fn names_folder(path: &Path) -> bool {
     let text = path.as_os_str().as_encoded_bytes();
     path.file_name().is_none() || text.ends_with(b"/") || text.ends_with(b"/.")
 }
 
-/// The folder of a file.
+/// Returns the folder of a file.
 pub fn folder(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -150,13 +150,13 @@ pub fn folder(path: &Path) -> &Path {
     }
 }
 
-/// Which file a path names, by whatever name.
+/// The file that a path names, by any of its names.
 #[derive(PartialEq, Eq)]
 enum Identity {
-    /// Device and number on it of an existing file.
+    /// Device, and number on the device, of an existing file.
     #[cfg(unix)]
     File(u64, u64),
-    /// The path, as far as it exists without links and detours.
+    /// The path; its existing part is without links and detours.
     Path(PathBuf),
 }
 
@@ -195,7 +195,7 @@ mod tests {
         check_outputs([&b], [&a], false).unwrap();
         check_outputs([&a], NOTHING, true).unwrap();
         assert!(refusal(&[&a], &[], false).contains("exists"));
-        // by another name: a detour, a link
+        // Other names of the file: a detour, a link.
         let detour = folder.path().join("new/../a.h5");
         fs::create_dir(at("new")).unwrap();
         assert!(refusal(&[&detour], &[&a], true).contains("is read by this command"));

@@ -1,11 +1,11 @@
-//! One of several processes that share a piece of work.
+//! The part of one of several processes that share a piece of work.
 
 use std::str::FromStr;
 
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Process `index`, counted from 0, of `count`. What it does of a list of things depends on nothing else.
+/// Process `index`, counted from 0, of `count`. Its part of a list depends on nothing else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
     index: usize,
@@ -16,7 +16,7 @@ impl Shard {
     /// The only process.
     pub const WHOLE: Shard = Shard { index: 0, count: 1 };
 
-    /// Process `index` of `count`.
+    /// Returns process `index` of `count`.
     ///
     /// # Errors
     /// [`Error::Invalid`] unless `index` is below `count`.
@@ -31,11 +31,11 @@ impl Shard {
         Err(Error::invalid(Setting::Shard, format!("{index}/{count}"), expected))
     }
 
-    /// That of a task of a Slurm job array, whose tasks may have any numbers with equal steps; `variable` gives an environment
-    /// variable.
+    /// Returns the part of a task of a Slurm job array, whose tasks may have any numbers with equal steps; `variable` returns an
+    /// environment variable.
     ///
     /// # Errors
-    /// [`Error::Invalid`] where the variables are not there.
+    /// [`Error::Invalid`] if the variables are missing.
     pub fn of_slurm(variable: impl Fn(&str) -> Option<String>) -> Result<Self> {
         let number = |name: &str| -> Result<usize> {
             let value = variable(name);
@@ -54,17 +54,17 @@ impl Shard {
         Shard::new(task.saturating_sub(first) / step, number("SLURM_ARRAY_TASK_COUNT")?)
     }
 
-    /// Its number, from 0.
+    /// Returns the number of the process, from 0.
     pub fn index(self) -> usize {
         self.index
     }
 
-    /// How many there are.
+    /// Returns the number of processes.
     pub fn count(self) -> usize {
         self.count
     }
 
-    /// Whether it does the thing with this number.
+    /// Whether the process does the item with this number.
     pub fn does(self, thing: usize) -> bool {
         thing % self.count == self.index
     }
@@ -73,7 +73,7 @@ impl Shard {
 impl FromStr for Shard {
     type Err = Error;
 
-    /// `0/16`, the first of sixteen.
+    /// Reads `0/16`, the first of sixteen.
     fn from_str(text: &str) -> Result<Self> {
         let parsed = text.split_once('/').and_then(|(index, count)| {
             Some((index.trim().parse().ok()?, count.trim().parse().ok()?))

@@ -1,4 +1,4 @@
-//! Files that are of no use once their writer is gone, removed when a program is ended in the middle of its work.
+//! Registers files that are useless once their writer ends; they are removed when the program is stopped in the middle of its work.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -8,24 +8,24 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
 fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
-    // A set is whole even if another thread panicked while it held it.
+    // The set is consistent even if another thread panicked while it held the lock.
     UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A file that is being written; known to [`remove_all`] until this is dropped.
+/// A file that is being written; [`remove_all`] removes it until this value is dropped.
 #[derive(Debug)]
 pub struct Unfinished(PathBuf);
 
 impl Unfinished {
-    /// Has `make` make a file, and notes its path.
+    /// Lets `make` make a file, and registers its path.
     ///
     /// # Errors
-    /// Those of `make`.
+    /// Errors of `make`.
     pub fn of<T, E>(
         make: impl FnOnce() -> Result<T, E>,
         path: impl FnOnce(&T) -> &Path,
     ) -> Result<(T, Unfinished), E> {
-        // Under the lock: no file is made that `remove_all` does not know.
+        // `make` runs under the lock, so that no file exists that `remove_all` does not know.
         let mut all = unfinished();
         let made = make()?;
         let path = path(&made).to_owned();
@@ -33,7 +33,7 @@ impl Unfinished {
         Ok((made, Unfinished(path)))
     }
 
-    /// Notes a file that will be made at `path`.
+    /// Registers a file that will be made at `path`.
     pub fn at(path: &Path) -> Self {
         unfinished().insert(path.to_owned());
         Unfinished(path.to_owned())
@@ -46,11 +46,11 @@ impl Drop for Unfinished {
     }
 }
 
-/// Removes all unfinished files of this process, which has to end right after: threads that begin or end a file wait for ever.
+/// Removes all unfinished files of this process, which must end right after: threads that register or release a file wait for ever.
 pub fn remove_all() {
     let all = unfinished();
     for path in all.iter() {
-        // Nobody is left to tell the failure to.
+        // The process ends, so a failure cannot be reported.
         let _ = fs::remove_file(path);
     }
     std::mem::forget(all);

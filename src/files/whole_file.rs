@@ -1,19 +1,19 @@
-//! Files that are read as a whole.
+//! Reads whole files.
 
 use std::path::Path;
 
 use crate::error::{Error, Result};
 
-/// The bytes of a file of at most `most` bytes. Folders, devices and pipes are refused: one of them may never end.
+/// Reads the bytes of a file of at most `most` bytes. Folders, devices and pipes are refused: reading one may never end.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Parse`] for what is no file, or a larger one.
+/// [`Error::Io`]; [`Error::Parse`] for a path that is no file, or a larger file.
 pub fn read(path: &Path, most: usize) -> Result<Vec<u8>> {
     check(path, most)?;
     std::fs::read(path).map_err(|e| Error::io(path, "read", e))
 }
 
-/// Refuses what [`read`] refuses.
+/// Refuses the paths that [`read`] refuses.
 ///
 /// # Errors
 /// As [`read`].
@@ -37,10 +37,10 @@ pub fn check(path: &Path, most: usize) -> Result<()> {
     Ok(())
 }
 
-/// As [`read`], for text in UTF-8.
+/// Reads text in UTF-8 like [`read`].
 ///
 /// # Errors
-/// As [`read`]; [`Error::Parse`] with the line of what is no text.
+/// As [`read`]; [`Error::Parse`] with the line of the first bytes that are no text.
 pub fn read_text(path: &Path, most: usize) -> Result<String> {
     String::from_utf8(read(path, most)?).map_err(|e| {
         let valid = e.utf8_error().valid_up_to();

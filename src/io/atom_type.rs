@@ -9,7 +9,7 @@ pub const VACANCY: i32 = 1;
 /// Another element.
 pub const SUBSTITUTION: i32 = 2;
 
-/// The code of a site.
+/// Returns the code of a site.
 pub fn code(kind: SiteKind) -> i32 {
     match kind {
         SiteKind::Pristine => PRISTINE,

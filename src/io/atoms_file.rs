@@ -1,9 +1,8 @@
 //! Writes the sites of a specimen piece by piece, as extended XYZ or CIF.
 //!
-//! Beside element and position every site has `atom_type` (codes of [`super::atom_type`]),
-//! `defect_type` (`none`, `vacancy_O` ...), `column` (the index of its atomic column, -1 for none) and `occupancy`
-//! (0 for a vacant site). In extended XYZ a vacant site has the species `X`, which no program takes
-//! for an atom; in CIF it keeps the element that is missing.
+//! Besides element and position every site has `atom_type` (codes of [`super::atom_type`]), `defect_type` (`none`, `vacancy_O` ...),
+//! `column` (the index of its atomic column, -1 for none) and `occupancy` (0 for a vacant site). In extended XYZ a vacant site has the
+//! species `X`, which no program reads as an atom; in CIF it keeps the missing element.
 
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
@@ -14,13 +13,13 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 use crate::structure::{Format, elements};
 
-/// Width of the number of atoms in the first line of extended XYZ, which is known only at the end.
+/// Width of the number of atoms in the first line of extended XYZ; the number is known only at the end.
 const COUNT_WIDTH: usize = 20;
 
 /// One site.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AtomRow<'a> {
-    /// Atomic number; of a vacant site, that of the missing atom.
+    /// Atomic number; of a vacant site, the atomic number of the missing atom.
     pub number: u8,
     /// Position in Angstrom.
     pub position_angstrom: [f64; 3],
@@ -28,20 +27,20 @@ pub struct AtomRow<'a> {
     pub atom_type: i32,
     /// Name of the defect; empty for none.
     pub defect: &'a str,
-    /// Index of the column; none, written as -1, for an atom of a layer on the specimen.
+    /// Index of the column; `None`, written as -1, for an atom of a layer on the specimen.
     pub column: Option<u64>,
 }
 
-/// What stands at the head of a file of atoms.
+/// Header of a file of atoms.
 #[derive(Debug, Clone, Default)]
 pub struct AtomsHeader {
     /// Name of the data: `srtio3_easy`.
     pub name: String,
     /// Edges of the (orthogonal) cell in Angstrom.
     pub cell_angstrom: [f64; 3],
-    /// More keys and values, each of one line.
+    /// Further keys and values, each on one line.
     pub notes: Vec<(&'static str, String)>,
-    /// The recipe as TOML; extended XYZ holds it as JSON, since it has to fit on a line.
+    /// The recipe as TOML; extended XYZ holds it as JSON, since it must fit on a line.
     pub recipe: String,
 }
 
@@ -52,7 +51,7 @@ pub struct RowFormat {
     cell_angstrom: [f64; 3],
 }
 
-/// A file of atoms being written.
+/// A file of atoms that is being written.
 pub struct AtomsWriter {
     path: PathBuf,
     out: BufWriter<File>,
@@ -60,7 +59,7 @@ pub struct AtomsWriter {
 }
 
 impl AtomsWriter {
-    /// Begins a file; the ending of `name` says which format: `.extxyz`, `.xyz` or `.cif`.
+    /// Begins a file; the ending of `name` selects the format: `.extxyz`, `.xyz` or `.cif`.
     ///
     /// # Errors
     /// [`Error::Invalid`] for another ending, [`Error::Io`].
@@ -80,7 +79,7 @@ impl AtomsWriter {
         Ok(writer)
     }
 
-    /// What formats the rows of this file.
+    /// Returns the formatter of the rows of this file.
     pub fn rows(&self) -> RowFormat {
         self.rows
     }
@@ -93,7 +92,7 @@ impl AtomsWriter {
         self.out.write_all(text.as_ref()).map_err(|e| Error::io(&self.path, "write", e))
     }
 
-    /// Writes everything out; `count` is the number of rows.
+    /// Writes all data out and completes the file; `count` is the number of rows.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -109,7 +108,7 @@ impl AtomsWriter {
     }
 }
 
-/// The format that a name stands for, if it can be written.
+/// Returns the format that the ending of a name selects, if it can be written.
 ///
 /// # Errors
 /// [`Error::Invalid`].
@@ -154,7 +153,7 @@ fn text(out: &mut Vec<u8>, arguments: std::fmt::Arguments) {
     let _ = out.write_fmt(arguments);
 }
 
-/// Appends a number with so many decimals, and a space. Several times as fast as `{:.5}`.
+/// Appends a number with `decimals` decimals, and a space. Several times as fast as `{:.5}`.
 fn fixed(out: &mut Vec<u8>, value: f64, decimals: u32) {
     let unit = 10u64.pow(decimals);
     let scaled = (value * unit as f64).round() as i64;

@@ -1,11 +1,11 @@
-//! What HDF5 files say of the axes of an array.
+//! Reads the description of an array's axes in HDF5 files.
 //!
 //! | file | where |
 //! |---|---|
 //! | `stemgen simulate` | attributes `axes` and `sampling_angstrom` of the image |
 //! | Berkeley EMD, Prismatic | `dim1`, `dim2` ... beside the image, with attributes `name` and `units` |
-//! | emdfile, py4DSTEM | the same, from `dim0` |
-//! | NeXus | the attribute `axes` of the group, or of the image in older files; a list of places for each name |
+//! | emdfile, py4DSTEM | as in Berkeley EMD, but from `dim0` |
+//! | NeXus | the attribute `axes` of the group, or of the image in older files; a list of positions for each name |
 //! | HDF5's own dimension labels and scales (h5py, netCDF-4, xarray) | `DIMENSION_LABELS`, `DIMENSION_LIST` |
 
 use std::path::Path;
@@ -18,20 +18,20 @@ use super::hdf5_guard::{any_text, any_texts, check_storage, pair, scale_paths};
 use super::hdf5_values;
 use super::named_axes::{NamedAxis, even_step};
 
-/// The group of all files of Prismatic. It counts in Angstrom; some of its versions call that `[n_m]`.
+/// The group of all files of Prismatic. Its lengths are in Angstrom; some versions of Prismatic name the unit `[n_m]`.
 const PRISMATIC: &str = "/4DSTEM_simulation/";
 
-/// A file whose arrays have axes.
+/// A file whose arrays have described axes.
 pub(super) struct AxisSource<'a> {
     pub file: &'a File,
     pub path: &'a Path,
     pub bytes: u64,
-    /// Paths of all its data sets.
+    /// Paths of all data sets of the file.
     pub names: &'a [String],
 }
 
 impl AxisSource<'_> {
-    /// The axes of an array, in its order; `None` where nothing is said of any.
+    /// Returns the axes of an array in its order; `None` if the file describes none of them.
     pub fn axes(&self, name: &str, dataset: &Dataset) -> Option<Vec<NamedAxis>> {
         let (group, own) = name.rsplit_once('/')?;
         let count = dataset.ndim();
@@ -45,7 +45,7 @@ impl AxisSource<'_> {
         found.into_iter().flatten().find(named)
     }
 
-    /// `dim1` ... beside the array, or from `dim0`.
+    /// Reads `dim1` ... beside the array, or from `dim0`.
     fn lists(&self, group: &str, count: usize) -> Option<Vec<NamedAxis>> {
         let first = usize::from(!self.has(&format!("{group}/dim0")));
         let prismatic = format!("{group}/").starts_with(PRISMATIC);
@@ -63,7 +63,7 @@ impl AxisSource<'_> {
             .then(|| (0..count).map(axis).collect())
     }
 
-    /// NeXus: names of the lists of places, in the attribute `axes`.
+    /// Reads NeXus: the attribute `axes` names the lists of positions.
     fn nexus(
         &self,
         group: &str,
@@ -79,7 +79,7 @@ impl AxisSource<'_> {
         let is_signal =
             signal.is_none_or(|signal| signal == own) || others.iter().any(|o| o == own);
         let of_group = || any_texts(&about, "axes", count).filter(|_| is_signal);
-        // `y:x` or `[y,x]`.
+        // Names are written as `y:x` or `[y,x]`.
         let of_array = || {
             let list = any_text(dataset, "axes")?;
             let names = list.trim_matches(['[', ']']).split([':', ',']);
@@ -94,7 +94,7 @@ impl AxisSource<'_> {
         Some(names.into_iter().map(axis).collect())
     }
 
-    /// The dimension labels and scales of HDF5.
+    /// Reads the dimension labels and scales of HDF5.
     fn scales(&self, dataset: &Dataset, count: usize) -> Option<Vec<NamedAxis>> {
         let labels = any_texts(dataset, "DIMENSION_LABELS", count).unwrap_or_default();
         let scales = scale_paths(dataset);
@@ -108,7 +108,7 @@ impl AxisSource<'_> {
         Some((0..count).map(axis).collect())
     }
 
-    /// A list of places, without its name.
+    /// Reads a list of positions, without its name.
     fn list(&self, path: &str) -> Option<NamedAxis> {
         let dataset = self.dataset(path)?;
         held(&dataset.shape()).ok().filter(|_| dataset.ndim() == 1)?;
@@ -126,14 +126,14 @@ impl AxisSource<'_> {
         self.names.iter().any(|name| name == path)
     }
 
-    /// A data set whose values lie in this file.
+    /// Opens a data set whose values lie in this file.
     fn dataset(&self, path: &str) -> Option<Dataset> {
         let dataset = self.file.dataset(path).ok().filter(|_| self.has(path))?;
         check_storage(&dataset, self.bytes).ok().map(|()| dataset)
     }
 }
 
-/// Attributes of the images of `stemgen simulate`: names of all axes, pixel and origin of the last two.
+/// Reads the attributes of images of `stemgen simulate`: names of all axes, pixel and origin of the last two.
 fn stemgen(dataset: &Dataset, count: usize) -> Option<Vec<NamedAxis>> {
     let labels = any_texts(dataset, "axes", count)?;
     let (sampling, origin) =

@@ -1,4 +1,4 @@
-//! Errors of HDF5, with the file they are about.
+//! Errors of HDF5, with the file that they concern.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ impl<T> At<T> for hdf5::Result<T> {
     }
 }
 
-/// The operating system's reason (a full disk ...), which HDF5 hides in its text.
+/// Returns the operating system's error (a full disk ...), which HDF5 includes in its text.
 fn os_error(text: &str) -> Option<std::io::Error> {
     let number = text.split("errno = ").nth(1)?.split(|c: char| !c.is_ascii_digit()).next()?;
     number.parse().ok().map(std::io::Error::from_raw_os_error)

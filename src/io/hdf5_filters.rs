@@ -1,4 +1,4 @@
-//! Undoes the packing of chunks of HDF5 files.
+//! Unpacks the chunks of HDF5 files.
 
 use std::io::Read;
 
@@ -8,13 +8,13 @@ use hdf5::plist::DatasetCreate;
 
 use super::hdf5_guard::{Guarded, damaged};
 
-/// Bytes of a checksum behind a chunk.
+/// Number of bytes of a checksum behind a chunk.
 const CHECKSUM: usize = 4;
 
-/// How the chunks of a dataset are packed.
+/// The filters with which the chunks of a dataset are packed.
 pub(super) struct Filters {
     steps: Vec<FilterStep>,
-    /// Bytes of a value, which are shuffled.
+    /// Number of bytes of a value, which the filters shuffle.
     value_bytes: usize,
 }
 
@@ -26,7 +26,7 @@ enum FilterStep {
 }
 
 impl Filters {
-    /// The filters of a dataset, of which those are undone that cannot unpack a little to a lot, or are bounded.
+    /// Reads the filters of a dataset. Only filters whose unpacked size is bounded are accepted.
     pub fn of(plan: &DatasetCreate, value_bytes: usize) -> Guarded<Self> {
         let known = |filter: &Filter| match filter {
             Filter::Deflate(_) => Ok(FilterStep::Deflate),
@@ -44,8 +44,8 @@ impl Filters {
         Ok(Filters { steps, value_bytes })
     }
 
-    /// The bytes of a chunk. Filters whose bit is set in `skipped` were not applied to it. It has to unpack to `expected`
-    /// bytes; no more is ever unpacked.
+    /// Unpacks a chunk. Filters whose bit is set in `skipped` were not applied to it. The chunk must unpack to `expected` bytes; no more
+    /// are ever unpacked.
     pub fn unpacked(&self, packed: Vec<u8>, skipped: u32, expected: usize) -> Guarded<Vec<u8>> {
         let most = expected + CHECKSUM * self.steps.len();
         let mut bytes = packed;
@@ -66,11 +66,11 @@ impl Filters {
     }
 }
 
-/// How many bytes a byte unpacks to at most (zlib's documentation).
+/// Largest number of bytes that one byte unpacks to (zlib's documentation).
 const LARGEST_DEFLATION: usize = 1032;
 
 fn inflated(packed: &[u8], most: usize) -> Guarded<Vec<u8>> {
-    // Room for all from the start: a vector that grows is there twice for a moment.
+    // Memory is reserved for all bytes at once: a vector that grows exists twice for a moment.
     let mut bytes = Vec::with_capacity(most.min(packed.len().saturating_mul(LARGEST_DEFLATION)));
     let mut decoder = ZlibDecoder::new(packed).take(most as u64 + 1);
     decoder.read_to_end(&mut bytes).map_err(|e| format!("does not unpack ({e})"))?;
@@ -80,7 +80,7 @@ fn inflated(packed: &[u8], most: usize) -> Guarded<Vec<u8>> {
     }
 }
 
-/// First bytes of all values, then second ones ...; what is left over stays at the end.
+/// Undoes shuffling: the first bytes of all values, then the second bytes ...; the remaining bytes stay at the end.
 fn unshuffled(bytes: &[u8], value_bytes: usize) -> Vec<u8> {
     let count = bytes.len() / value_bytes.max(1);
     let mut out = vec![0; bytes.len()];
@@ -93,7 +93,7 @@ fn unshuffled(bytes: &[u8], value_bytes: usize) -> Vec<u8> {
     out
 }
 
-/// The bytes before a checksum that holds.
+/// Checks the checksum, and returns the bytes before it.
 fn checked(mut bytes: Vec<u8>) -> Guarded<Vec<u8>> {
     let end = bytes.len().checked_sub(CHECKSUM).ok_or("is too short for its checksum")?;
     let stored = u32::from_le_bytes([bytes[end], bytes[end + 1], bytes[end + 2], bytes[end + 3]]);
@@ -104,7 +104,7 @@ fn checked(mut bytes: Vec<u8>) -> Guarded<Vec<u8>> {
     }
 }
 
-/// The sum of 16-bit words, first byte high, and the sum of those sums (RFC 1146, as HDF5 has it).
+/// Returns the sum of 16-bit words, high byte first, and the sum of those sums (RFC 1146, as HDF5 uses it).
 fn fletcher32(bytes: &[u8]) -> u32 {
     let (mut low, mut high) = (0_u32, 0_u32);
     let fold = |sum: u32| (sum & 0xffff) + (sum >> 16);

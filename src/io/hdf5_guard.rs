@@ -1,5 +1,5 @@
-//! HDF5 files as strangers may have made them. Nothing outside the file is read, and what a header announces is held
-//! against the size of the file before memory is asked for. Reasons are given as text, without the name of the file.
+//! Checks of HDF5 files from unknown sources. Nothing outside the file is read, and sizes in headers are compared with the size of the file
+//! before memory is requested. Reasons are returned as text, without the name of the file.
 
 use std::collections::HashSet;
 
@@ -10,53 +10,53 @@ use hdf5::{
     ReferencedObject,
 };
 
-/// Bytes of the largest numbers that values are read as.
+/// Number of bytes of the largest numbers that values are read as.
 const LARGEST_NUMBER_BYTES: usize = 8;
 
-/// Bytes of the longest text of fixed length that is read.
+/// Largest number of bytes of a text of fixed length.
 const LONGEST_TEXT: usize = 256;
 
-/// Texts that an attribute may hold: one for each axis of an array.
+/// Largest number of texts in an attribute: one for each axis of an array.
 pub(super) const MOST_TEXTS: usize = 64;
 
-/// Why a file is refused.
+/// Result with the reason for which a file is refused.
 pub(super) type Guarded<T> = std::result::Result<T, String>;
 
-/// Groups may lie this deep in each other.
+/// Largest depth of nested groups.
 const DEEPEST: usize = 64;
-/// Groups, datasets and other things that a file may hold.
+/// Largest number of groups, datasets and other objects in a file.
 const MOST_OBJECTS: usize = 1 << 20;
-/// Chunks that a dataset may be cut into.
+/// Largest number of chunks of a dataset.
 const MOST_CHUNKS: usize = 1 << 20;
-/// Bytes that the path of a dataset may have.
+/// Largest number of bytes in the path of a dataset.
 const LONGEST_PATH: usize = 4096;
-/// Any file may announce so many bytes ...
+/// Any file may announce this many bytes ...
 const ALWAYS_ALLOWED_BYTES: u128 = 256 << 20;
-/// ... a larger one this many times its size: compressed specimen-free images come to that ...
+/// ... a larger file may announce this multiple of its size, which compressed images without a specimen reach ...
 const LARGEST_EXPANSION: u128 = 64;
-/// ... but no more than this, so that no file of a few MB takes a GiB ...
+/// ... but no more than this, so that a file of a few MB never takes a GiB ...
 const MOST_EXPANDED_BYTES: u128 = 896 << 20;
-/// ... unless it is so large that the values are stored almost as they are: bytes become numbers of 8 bytes.
+/// ... unless the file is so large that its values are stored nearly uncompressed: bytes become numbers of 8 bytes.
 const PLAIN_EXPANSION: u128 = 8;
 
-/// A chunk is there twice while the order of its bytes is undone.
+/// A chunk exists twice in memory while the order of its bytes is restored.
 const COPIES_OF_A_CHUNK: u128 = 2;
 
-/// How many bytes may be read from one dataset of a file of so many.
+/// Returns how many bytes may be read from one dataset of a file of `file_bytes` bytes.
 fn allowed_bytes(file_bytes: u64) -> u128 {
     let file = u128::from(file_bytes);
     let expanded = (LARGEST_EXPANSION * file).min(MOST_EXPANDED_BYTES);
     ALWAYS_ALLOWED_BYTES.max(expanded).max(PLAIN_EXPANSION * file)
 }
 
-/// The paths of all datasets, those of a group before those of the groups in it.
+/// Returns the paths of all datasets; datasets of a group come before the datasets of its subgroups.
 ///
-/// Refuses links to other files, wherever they are: following one opens that file.
+/// Refuses links to other files, wherever they are: following a link would open the other file.
 pub(super) fn datasets(file: &File) -> Guarded<Vec<String>> {
     walk(file).map(|walk| walk.datasets)
 }
 
-/// All groups and datasets of a file; see [`datasets`].
+/// Returns all groups and datasets of a file, with the checks of [`datasets`].
 pub(super) fn walk(file: &File) -> Guarded<Walk> {
     if file.userblock() > 0 {
         return Err(
@@ -69,12 +69,12 @@ pub(super) fn walk(file: &File) -> Guarded<Walk> {
     Ok(walk)
 }
 
-/// What was found on the way through a file.
+/// The objects found in a file.
 pub(super) struct Walk {
-    /// Groups that were visited: links may lead back to one that holds them.
+    /// Groups that were visited: links may lead back to a group that holds them.
     seen: HashSet<String>,
     objects: usize,
-    /// Paths of the groups but the first.
+    /// Paths of the groups, without the first.
     pub groups: Vec<String>,
     /// Paths of the datasets.
     pub datasets: Vec<String>,
@@ -95,7 +95,7 @@ impl Walk {
             if below.len() > LONGEST_PATH {
                 return Err(format!("has a path of more than {LONGEST_PATH} bytes"));
             }
-            // What a soft link names is found by hard links, or is not there.
+            // The target of a soft link is found through hard links, or does not exist.
             if kind == LinkType::Soft {
                 continue;
             }
@@ -119,7 +119,7 @@ impl Walk {
     }
 }
 
-/// Names and kinds of the links of a group.
+/// Returns names and kinds of the links of a group.
 fn links(group: &Group, path: &str) -> Guarded<Vec<(String, LinkType)>> {
     let mut links = Vec::new();
     let mut elsewhere = None;
@@ -139,11 +139,10 @@ fn links(group: &Group, path: &str) -> Guarded<Vec<(String, LinkType)>> {
     Ok(links)
 }
 
-/// Refuses datasets whose values are in other files, and those that announce more than a file of `file_bytes`
-/// bytes can hold.
+/// Refuses datasets whose values are in other files, and datasets that announce more than a file of `file_bytes` bytes can hold.
 pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
     let plan = dataset.dcpl().map_err(damaged)?;
-    // Before the shape: asking a virtual dataset for its shape opens other files.
+    // This check comes before the shape: asking a virtual dataset for its shape opens other files.
     let elsewhere = match plan.layout() {
         Layout::Virtual => true,
         _ => !plan.get_external().map_err(damaged)?.is_empty(),
@@ -153,7 +152,7 @@ pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
             "takes its values from another file, which is not read; copy them into this one".into(),
         );
     }
-    // A file may hold bytes that are read as numbers.
+    // Bytes in the file may be read as larger numbers.
     let bytes = dataset.dtype().map_err(damaged)?.size().max(LARGEST_NUMBER_BYTES);
     let shape = dataset.shape();
     check_bytes(&shape, bytes, file_bytes)?;
@@ -169,7 +168,8 @@ pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
     }
 }
 
-/// Refuses chunks so large that unpacking one takes more memory, beside the values, than a file of `file_bytes` bytes may.
+/// Refuses chunks that are too large: unpacking one, in addition to the values, must not take more memory than a file of `file_bytes` bytes
+/// may use.
 fn check_chunk(chunk: &[usize], shape: &[usize], bytes: usize, file_bytes: u64) -> Guarded<()> {
     let all =
         |lengths: &[usize]| lengths.iter().fold(bytes as u128, |n, k| n.saturating_mul(*k as u128));
@@ -184,16 +184,16 @@ fn check_chunk(chunk: &[usize], shape: &[usize], bytes: usize, file_bytes: u64) 
     Ok(())
 }
 
-/// Refuses a dataset in one piece that lies beyond the end of the file.
+/// Refuses a contiguous dataset that extends beyond the end of the file.
 fn check_end(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
     let bytes = dataset.dtype().map_err(damaged)?.size() as u64 * dataset.size() as u64;
-    // libhdf5 1.10.8 reads values within the description of the dataset beyond their end.
+    // libhdf5 1.10.8 reads compact values, which lie in the description of the dataset, beyond their end.
     if dataset.dcpl().map_err(damaged)?.layout() == Layout::Compact
         && bytes > dataset.storage_size()
     {
         return Err("announces more values than it holds".into());
     }
-    // One within its own description, or that was never written, lies nowhere.
+    // Compact data, and data that were never written, have no offset.
     let Some(first) = dataset.offset() else { return Ok(()) };
     match first.checked_add(bytes).is_some_and(|end| end <= file_bytes) {
         true => Ok(()),
@@ -201,10 +201,10 @@ fn check_end(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
     }
 }
 
-/// Holds an array of values of `value_bytes` bytes against a file of `file_bytes` bytes.
+/// Compares the size of an array of values of `value_bytes` bytes with a file of `file_bytes` bytes.
 pub(super) fn check_bytes(shape: &[usize], value_bytes: usize, file_bytes: u64) -> Guarded<()> {
     let allowed = allowed_bytes(file_bytes);
-    // Axes of length 0 hide what the others come to.
+    // Axes of length 0 hide the lengths of the others.
     let product = |n: u128, length: &usize| n.saturating_mul((*length).max(1) as u128);
     let announced = shape.iter().fold(value_bytes as u128, product);
     if announced > allowed {
@@ -218,23 +218,23 @@ pub(super) fn check_bytes(shape: &[usize], value_bytes: usize, file_bytes: u64) 
     Ok(())
 }
 
-/// An attribute that is one number (or another value of fixed size).
+/// Reads an attribute that is one number (or another value of fixed size).
 pub(super) fn number<T: H5Type>(at: &Location, name: &str) -> Option<T> {
     at.attr(name).and_then(|a| a.read_scalar()).ok()
 }
 
-/// An attribute that is two numbers.
+/// Reads an attribute that is two numbers.
 pub(super) fn pair(at: &Location, name: &str) -> Option<[f64; 2]> {
     let attribute = at.attr(name).ok().filter(|a| a.size() == 2)?;
     attribute.read_raw().ok()?.try_into().ok()
 }
 
-/// An attribute that is a text in UTF-8.
+/// Reads an attribute that is a text in UTF-8.
 pub(super) fn text(at: &Location, name: &str) -> Option<String> {
     number::<VarLenUnicode>(at, name).as_ref().and_then(string)
 }
 
-/// An attribute that is a text, of any kind of texts.
+/// Reads an attribute that is a text in any encoding.
 pub(super) fn any_text(at: &Location, name: &str) -> Option<String> {
     fn of<T: H5Type>(at: &Location, name: &str, bytes: impl Fn(&T) -> &[u8]) -> Option<String> {
         let found = number::<T>(at, name)?;
@@ -246,14 +246,14 @@ pub(super) fn any_text(at: &Location, name: &str) -> Option<String> {
         .or_else(|| of::<FixedAscii<LONGEST_TEXT>>(at, name, |t| t.as_bytes()))
 }
 
-/// An attribute that is `count` texts in UTF-8.
+/// Reads an attribute that is `count` texts in UTF-8.
 pub(super) fn texts(at: &Location, name: &str, count: usize) -> Option<Vec<String>> {
     let attribute = at.attr(name).ok().filter(|a| a.size() == count)?;
     let texts: Vec<VarLenUnicode> = attribute.read_raw().ok()?;
     texts.iter().map(string).collect()
 }
 
-/// An attribute that is `count` texts, of any kind of texts.
+/// Reads an attribute that is `count` texts in any encoding.
 pub(super) fn any_texts(at: &Location, name: &str, count: usize) -> Option<Vec<String>> {
     fn of<T: H5Type>(
         at: &Location,
@@ -275,7 +275,7 @@ pub(super) fn any_texts(at: &Location, name: &str, count: usize) -> Option<Vec<S
         .or_else(|| of::<FixedAscii<LONGEST_TEXT>>(at, name, count, |t| t.as_bytes()))
 }
 
-/// The paths of the first scale of each dimension of an array, as `H5DSattach_scale` writes them.
+/// Returns the paths of the first scale of each dimension of an array, as `H5DSattach_scale` writes them.
 pub(super) fn scale_paths(dataset: &Dataset) -> Vec<Option<String>> {
     let count = dataset.ndim();
     let attribute = dataset.attr("DIMENSION_LIST").ok().filter(|a| a.size() == count);
@@ -292,7 +292,7 @@ fn string(text: &VarLenUnicode) -> Option<String> {
     std::str::from_utf8(text.as_bytes()).ok().map(str::to_owned)
 }
 
-/// What is said of a dataset that the library cannot read.
+/// Describes a dataset that the library cannot read.
 pub(super) fn damaged(error: hdf5::Error) -> String {
     format!("cannot be read ({})", first_line(&error))
 }

@@ -1,4 +1,4 @@
-//! A look through all of an HDF5 file, for a process that may end of it.
+//! Reads through a whole HDF5 file, for a process that the file may crash.
 
 use std::path::Path;
 
@@ -13,9 +13,9 @@ use super::hdf5_values;
 use super::world_file::regular_file;
 use crate::error::{Error, Result};
 
-/// Has the library read everything of a file that it reads for this program, the values of chunks aside: what the file holds, what
-/// is said of it, and where its values lie. Of some damaged files the library does not come back (1.10.8 hangs, dies or takes all
-/// memory): a process that calls this before another opens the file finds out.
+/// Makes the library read everything of a file that it reads for this program, except the values of chunks: groups, datasets, attributes,
+/// and the places of the values. For some damaged files the library does not return (1.10.8 hangs, crashes or takes all memory). A process
+/// that calls this function before another opens the file finds such files.
 ///
 /// # Errors
 /// [`Error::Io`], or [`Error::Parse`] for a file that is refused.
@@ -29,7 +29,7 @@ pub fn read_through(path: &Path) -> Result<()> {
         read_attributes(&group);
     }
     for name in &walk.datasets {
-        // One that cannot be read may be one that nobody asks for.
+        // A dataset that cannot be read may be one that nobody needs.
         let Ok(dataset) = file.dataset(name) else { continue };
         read_attributes(&dataset);
         let stored = check_storage(&dataset, bytes);
@@ -42,7 +42,7 @@ pub fn read_through(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Reads the attributes of a thing in all the ways that there are. Their values are of no interest here.
+/// Reads the attributes of an object in every way that the program uses. Their values are ignored here.
 fn read_attributes(at: &Location) {
     for name in at.attr_names().unwrap_or_default() {
         let _ = (number::<f64>(at, &name), pair(at, &name), any_text(at, &name));

@@ -1,4 +1,4 @@
-//! Opening HDF5 files for reading, also while another program ends writing them.
+//! Opens HDF5 files for reading, also while another program finishes writing them.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -7,7 +7,7 @@ use hdf5::File;
 
 use super::hdf5_guard::first_line;
 
-/// How long to wait for a lock. HDF5 locks what it writes, and a process that another thread starts at that moment inherits the lock.
+/// Longest wait for a lock. HDF5 locks the files that it writes, and a process that another thread starts at that moment inherits the lock.
 const LOCK_PATIENCE: Duration = Duration::from_secs(5);
 
 /// Opens a file for reading, and waits for a lock that another program holds on it.
@@ -23,12 +23,12 @@ pub(super) fn open(path: &Path) -> hdf5::Result<File> {
     }
 }
 
-/// Whether a file did not open since another program writes it.
+/// Whether a file did not open because another program writes it.
 pub(super) fn is_locked(error: &hdf5::Error) -> bool {
     error.to_string().contains("unable to lock file")
 }
 
-/// Why a file did not open: that it is locked, or `otherwise`; and the library's own words.
+/// Returns the reason why a file did not open: that it is locked, or `otherwise`; and the library's message.
 pub(super) fn reason(error: &hdf5::Error, otherwise: &str) -> String {
     let reason = if is_locked(error) {
         "is locked by another program that writes it; try again when that has ended"

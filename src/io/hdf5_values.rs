@@ -1,8 +1,8 @@
-//! Values of datasets as strangers may have packed them.
+//! Reads the values of datasets from unknown sources.
 //!
-//! libhdf5 believes what a chunk unpacks to: one that holds less than it should is read beyond its end, one that holds more takes
-//! whatever memory that comes to (seen in 1.10.8). Chunks are therefore unpacked here, to the size that the dataset announces or
-//! not at all; the index of the chunks, the fill value and the conversion of numbers are the library's.
+//! libhdf5 trusts the size of an unpacked chunk: a chunk that is too short is read beyond its end, and a chunk that is too long takes as
+//! much memory as it unpacks to (seen in 1.10.8). Chunks are therefore unpacked here, to the size that the dataset announces or not at all;
+//! the index of the chunks, the fill value and the conversion of numbers are left to the library.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -26,13 +26,13 @@ use super::hdf5_guard::{Guarded, damaged};
 /// The address of a chunk that was never written.
 const NOWHERE: u64 = u64::MAX;
 
-/// Values that any bytes are.
+/// Values for which any bytes are valid.
 ///
 /// # Safety
 /// Every pattern of bytes is a valid value.
 pub(super) unsafe trait Plain: H5Type + Copy {}
 
-// SAFETY: a number without bits that are not its own.
+// SAFETY: a number without unused bits.
 unsafe impl Plain for u8 {}
 // SAFETY: as above.
 unsafe impl Plain for i32 {}
@@ -42,17 +42,17 @@ unsafe impl Plain for u32 {}
 unsafe impl Plain for f32 {}
 // SAFETY: as above.
 unsafe impl Plain for f64 {}
-// SAFETY: an array of bytes and nothing else. Its text (`as_str`) takes them for ASCII unseen: who reads such values looks at
-// `as_bytes` first.
+// SAFETY: an array of bytes and nothing else. Its text (`as_str`) takes the bytes for ASCII without a check: code that reads such values
+// must check `as_bytes` first.
 unsafe impl<const N: usize> Plain for FixedAscii<N> {}
 
-/// All values of a dataset of the file at `path`.
+/// Reads all values of a dataset of the file at `path`.
 pub(super) fn all<T: Plain, D: Dimension>(dataset: &Dataset, path: &Path) -> Guarded<Array<T, D>> {
     let whole: Vec<Range<usize>> = dataset.shape().into_iter().map(|n| 0..n).collect();
     part(dataset, path, &whole)
 }
 
-/// The values of a part of a dataset, one range for each axis. The dataset's storage was checked
+/// Reads a part of a dataset's values, one range for each axis. The dataset's storage must have been checked
 /// ([`super::hdf5_guard::check_storage`]).
 pub(super) fn part<T: Plain, D: Dimension>(
     dataset: &Dataset,
@@ -86,7 +86,7 @@ pub(super) fn part<T: Plain, D: Dimension>(
     array.into_dimensionality().map_err(|_| format!("has {axes} axes, another number is expected"))
 }
 
-/// All values of a dataset as the bytes of the type that the file has for them. The dataset's storage was checked
+/// Reads all values of a dataset as bytes of the type in the file. The dataset's storage must have been checked
 /// ([`super::hdf5_guard::check_storage`]).
 pub(super) fn stored_bytes(dataset: &Dataset, path: &Path) -> Guarded<Vec<u8>> {
     let stored = dataset.dtype().map_err(damaged)?;
@@ -115,8 +115,8 @@ pub(super) fn stored_bytes(dataset: &Dataset, path: &Path) -> Guarded<Vec<u8>> {
     if read < 0 { Err("cannot be read".into()) } else { Ok(bytes) }
 }
 
-/// The values of an attribute as the bytes of the type that the file has for them; none where they lie elsewhere in the file, or are made
-/// of others.
+/// Reads the values of an attribute as bytes of the type in the file; `None` for values that refer to other places in the file, and for
+/// compound values.
 pub(super) fn attribute_bytes(attribute: &Attribute) -> Guarded<Option<Vec<u8>>> {
     let stored = attribute.dtype().map_err(damaged)?;
     if check_kind(&stored).is_err() {
@@ -134,7 +134,7 @@ pub(super) fn attribute_bytes(attribute: &Attribute) -> Guarded<Option<Vec<u8>>>
     if read < 0 { Err("cannot be read".into()) } else { Ok(Some(bytes)) }
 }
 
-/// Reads all about a dataset but its values: their type, and where each chunk lies.
+/// Reads everything about a dataset except its values: their type, and the place of each chunk.
 pub(super) fn look_through(dataset: &Dataset, path: &Path) -> Guarded<()> {
     let stored = dataset.dtype().map_err(damaged)?;
     check_kind(&stored)?;
@@ -156,7 +156,7 @@ pub(super) fn look_through(dataset: &Dataset, path: &Path) -> Guarded<()> {
     Ok(())
 }
 
-/// Refuses values that lie elsewhere in the file, or are made of others.
+/// Refuses values that refer to other places in the file, and compound values.
 fn check_kind(stored: &Datatype) -> Guarded<()> {
     match stored.to_descriptor() {
         Ok(
@@ -176,9 +176,9 @@ fn check_kind(stored: &Datatype) -> Guarded<()> {
     }
 }
 
-/// Whether values are floating-point numbers, of the widths too that have no name here: those of two bytes.
+/// Whether values are floating-point numbers, including widths that the library has no name for: numbers of two bytes.
 pub(super) fn is_float(stored: &Datatype) -> bool {
-    // SAFETY: the type is open for as long as `stored` is there.
+    // SAFETY: the type stays open while `stored` exists.
     let class = hdf5::sync::sync(|| unsafe { H5Tget_class(stored.id()) });
     class == H5T_class_t::H5T_FLOAT && stored.size() <= size_of::<f64>()
 }
@@ -189,19 +189,19 @@ struct Chunks<'a> {
     file: File,
     file_bytes: u64,
     filters: Filters,
-    /// Values of a chunk along each axis.
+    /// Number of values of a chunk along each axis.
     shape: Vec<usize>,
-    /// Bytes of a value in the file.
+    /// Number of bytes of a value in the file.
     value_bytes: usize,
-    /// A value that was never written.
+    /// Fill value, for values that were never written.
     fill: Vec<u8>,
 }
 
-/// Where a chunk lies in the file.
+/// Place of a chunk in the file.
 struct ChunkPlace {
     address: u64,
     bytes: usize,
-    /// Bits of the filters that were not applied to it.
+    /// Bits of the filters that were not applied to the chunk.
     skipped: u32,
 }
 
@@ -231,7 +231,7 @@ impl<'a> Chunks<'a> {
         })
     }
 
-    /// The values of a part, without gaps. There is one copy of them, which first holds those of the file's type.
+    /// Reads the values of a part, without gaps. There is one copy of them, which first holds the values of the file's type.
     fn part<T: Plain>(
         &self,
         ranges: &[Range<usize>],
@@ -243,9 +243,9 @@ impl<'a> Chunks<'a> {
         let bytes = bytes.ok_or_else(|| format!("announces {lengths:?} values, more than fit"))?;
         let (count, room): (usize, usize) =
             (lengths.iter().product(), bytes.div_ceil(size_of::<T>()));
-        // SAFETY: zeros are a value as any other bytes are (`Plain`).
+        // SAFETY: zeros are a valid value, as any bytes are (`Plain`).
         let mut values = vec![unsafe { MaybeUninit::<T>::zeroed().assume_init() }; room];
-        // SAFETY: all bytes of the values, which may become any others (`Plain`) and are reached by nothing else while `out` is.
+        // SAFETY: all bytes of the values, which may become any other bytes (`Plain`); nothing else accesses them while `out` exists.
         let out = unsafe {
             std::slice::from_raw_parts_mut(
                 values.as_mut_ptr().cast::<u8>(),
@@ -261,7 +261,7 @@ impl<'a> Chunks<'a> {
         Ok(values)
     }
 
-    /// Puts the bytes of a part at the beginning of `out`, without gaps.
+    /// Copies the bytes of a part to the beginning of `out`, without gaps.
     fn gather(&self, ranges: &[Range<usize>], lengths: &[usize], out: &mut [u8]) -> Guarded<()> {
         let first: Vec<usize> = ranges.iter().zip(&self.shape).map(|(r, n)| r.start / n).collect();
         let end: Vec<usize> =
@@ -278,11 +278,12 @@ impl<'a> Chunks<'a> {
         }
     }
 
-    /// Where in the file the chunk lies whose first value is at `offset`, if it was written.
+    /// Returns the place in the file of the chunk whose first value is at `offset`, if it was written.
     fn place(&self, offset: &[usize]) -> Guarded<Option<ChunkPlace>> {
         let place: Vec<u64> = offset.iter().map(|n| *n as u64).collect();
         let (mut skipped, mut address, mut bytes) = (0, NOWHERE, 0);
-        // SAFETY: `place` has a number for each axis of the dataset, as chunks do; the library writes one value to each of the others.
+        // SAFETY: `place` has a number for each axis of the dataset, as chunks do; the library writes one value to each of the other
+        // arguments.
         let found = hdf5::sync::sync(|| unsafe {
             H5Dget_chunk_info_by_coord(
                 self.dataset.id(),
@@ -304,7 +305,7 @@ impl<'a> Chunks<'a> {
         Ok(Some(ChunkPlace { address, bytes: bytes as usize, skipped }))
     }
 
-    /// The bytes of the chunk whose first value is at `offset`, if it was written.
+    /// Returns the bytes of the chunk whose first value is at `offset`, if it was written.
     fn chunk(&self, offset: &[usize]) -> Guarded<Option<Vec<u8>>> {
         let Some(place) = self.place(offset)? else { return Ok(None) };
         let mut packed = vec![0; place.bytes];
@@ -317,7 +318,7 @@ impl<'a> Chunks<'a> {
         unpacked.map(Some).map_err(|fault| format!("has a chunk at {offset:?} that {fault}"))
     }
 
-    /// Copies what a chunk and the part have in common, row by row.
+    /// Copies the values that a chunk and the part share, row by row.
     fn copy(
         &self,
         chunk: &[u8],
@@ -329,7 +330,7 @@ impl<'a> Chunks<'a> {
         let low: Vec<usize> = ranges.iter().zip(offset).map(|(r, o)| r.start.max(*o)).collect();
         let ends = offset.iter().zip(&self.shape).map(|(o, n)| o + n);
         let high: Vec<usize> = ranges.iter().zip(ends).map(|(r, end)| r.end.min(end)).collect();
-        // A dataset without axes has no chunks.
+        // A dataset without axes has no chunks, so there is at least one axis.
         let last = low.len() - 1;
         let row = (high[last] - low[last]) * self.value_bytes;
         let (mut at, mut ends) = (low.clone(), high);
@@ -348,7 +349,7 @@ impl<'a> Chunks<'a> {
     }
 }
 
-/// The next place of a box, the last axis running fastest; false behind the last one.
+/// Moves to the next place of a box, the last axis fastest; returns false behind the last place.
 fn step(at: &mut [usize], first: &[usize], end: &[usize]) -> bool {
     for axis in (0..at.len()).rev() {
         at[axis] += 1;
@@ -360,15 +361,15 @@ fn step(at: &mut [usize], first: &[usize], end: &[usize]) -> bool {
     false
 }
 
-/// Turns values of the file's type into those of another, in their place.
+/// Converts values of the file's type to another type, in place.
 fn convert<T: Plain>(bytes: &mut [u8], stored: &Datatype, count: usize) -> Guarded<()> {
     let wanted = Datatype::from_type::<T>().map_err(damaged)?;
     if *stored == wanted {
         return Ok(());
     }
     assert!(bytes.len() >= count * size_of::<T>().max(stored.size()), "room for either type");
-    // SAFETY: the buffer has room for the values of either type, as asserted. Neither refers to other places (`check_kind`) nor is
-    // made of several, which would take a second buffer.
+    // SAFETY: the buffer has room for the values of either type, as asserted. Neither type refers to other places (`check_kind`), nor is it
+    // compound, which would take a second buffer.
     let done = hdf5::sync::sync(|| unsafe {
         let at = bytes.as_mut_ptr().cast();
         H5Tconvert(stored.id(), wanted.id(), count, at, std::ptr::null_mut(), H5P_DEFAULT)
@@ -384,7 +385,7 @@ mod tests {
     use super::*;
     use ndarray::Ix1;
 
-    /// None of them is written, so there is nothing to read that could fail first.
+    /// No value is written, so no earlier read can fail.
     #[test]
     fn more_values_than_can_be_counted_in_bytes_are_refused() {
         let folder = tempfile::tempdir().unwrap();

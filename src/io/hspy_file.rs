@@ -1,4 +1,4 @@
-//! Files of HyperSpy (`.hspy`): HDF5 with one signal for each detector, with its axes and what HyperSpy's metadata say of a microscope.
+//! Writes files of HyperSpy (`.hspy`): HDF5 with one signal for each detector, with its axes and HyperSpy's metadata of a microscope.
 
 use std::path::Path;
 
@@ -15,21 +15,21 @@ use crate::simulation::SimulationJob;
 
 /// Version of HyperSpy's file format.
 const FORMAT_VERSION: &str = "3.3";
-/// HyperSpy takes signals for images in this unit.
+/// HyperSpy recognises images by this unit.
 const UNIT: &str = "\u{c5}";
 
-/// What a file says of all of its images. Nothing is written of what is `None`.
+/// Facts about all images of a file. Values that are `None` are not written.
 #[derive(Debug, Clone, Default)]
 pub struct HspyFacts {
     /// The command as typed; may be empty.
     pub command_line: String,
-    /// Whether a plane wave lights the specimen.
+    /// Whether the illumination is a plane wave.
     pub plane_wave: bool,
     /// Beam energy in keV.
     pub energy_kev: Option<f64>,
-    /// Convergence semiangle in mrad; of the objective aperture for a plane wave.
+    /// Convergence semiangle in mrad; for a plane wave, the semiangle of the objective aperture.
     pub semiangle_mrad: Option<f64>,
-    /// Defocus in Angstrom of images that are no series; positive is underfocus.
+    /// Defocus in Angstrom of images that form no series; positive is underfocus.
     pub defocus_angstrom: Option<f64>,
     /// Tilt (x, y) of the specimen in mrad.
     pub tilt_mrad: Option<[f64; 2]>,
@@ -40,7 +40,7 @@ pub struct HspyFacts {
 }
 
 impl HspyFacts {
-    /// What a simulation says of its images.
+    /// Collects the facts about the images of a simulation.
     pub fn of_simulation(job: &SimulationJob, command_line: &str) -> Self {
         let defocus_angstrom = match job.request().microscope.defocus_angstrom[..] {
             [defocus] => Some(defocus),
@@ -68,7 +68,7 @@ impl HspyFacts {
     }
 }
 
-/// Writes images as signals, each named as its detector: `hyperspy.api.load` returns them. Series over defocus and thickness have
+/// Writes images as signals, each named after its detector: `hyperspy.api.load` returns them. Series over defocus and thickness have
 /// navigation axes.
 ///
 /// # Errors
@@ -84,7 +84,7 @@ pub fn write_hspy(
     })
 }
 
-/// Writes images as [`write_hspy`] does, straight to `path`, of which errors say that it is `place`.
+/// Writes images as [`write_hspy`] does, directly to `path`; errors name the file `place`.
 ///
 /// # Errors
 /// [`crate::Error::Hdf5`].
@@ -170,7 +170,7 @@ fn write_axes(group: &Group, series: &ImageSeries) -> hdf5::Result<()> {
     Ok(())
 }
 
-/// `Acquisition_instrument.TEM`, with HyperSpy's names and units where it has them.
+/// Writes `Acquisition_instrument.TEM`, with HyperSpy's names and units where they exist.
 fn write_instrument(metadata: &Group, series: &ImageSeries, facts: &HspyFacts) -> hdf5::Result<()> {
     let instrument = hdf5_create::group(metadata, "Acquisition_instrument")?;
     let tem = hdf5_create::group(&instrument, "TEM")?;
@@ -191,7 +191,7 @@ fn write_instrument(metadata: &Group, series: &ImageSeries, facts: &HspyFacts) -
     }
     if let Some([x, y]) = facts.tilt_mrad {
         let stage = hdf5_create::group(&tem, "Stage")?;
-        // HyperSpy has degrees.
+        // HyperSpy's tilts are in degrees.
         number(&stage, "tilt_alpha", (1e-3 * x).to_degrees())?;
         number(&stage, "tilt_beta", (1e-3 * y).to_degrees())?;
     }

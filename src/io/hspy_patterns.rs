@@ -1,4 +1,4 @@
-//! The frame of a HyperSpy file (`.hspy`) that holds the patterns of a scan: all but the array itself.
+//! Makes HyperSpy files (`.hspy`) for the patterns of a scan: everything except the array of patterns.
 
 use std::path::Path;
 
@@ -11,8 +11,8 @@ use super::world_writer::{number, text};
 /// Version of HyperSpy's file format.
 const FORMAT_VERSION: &str = "3.3";
 
-/// Makes a file with one signal, navigated over the scan, and returns it with the group that its array (`data`) goes into. What made the
-/// patterns stands in the signal's original metadata. `path` is the file's final name.
+/// Makes a file with one signal, navigated over the scan, and returns it with the group for its array (`data`). The origin of the patterns
+/// is recorded in the signal's original metadata. `path` is the file's final name.
 pub(super) fn begin(
     temporary: &Path,
     path: &Path,

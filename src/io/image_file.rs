@@ -1,17 +1,16 @@
-//! Files of simulated images. Their schema is here only.
+//! Writes files of simulated images. This is the only place where their schema is defined.
 //!
-//! - `/` attributes: `format` ("stemgen images"), `format_version`, `stemgen_version`,
-//!   `command_line`, `request` (JSON) and `structure_sha256` of what was asked for, `settings` (JSON), `structure_file`, `wavelength_angstrom`, `band_limit_mrad`,
-//!   `accuracy` (JSON: asked and found) if one was asked for; `source_fwhm_angstrom` and
-//!   `source_lorentz_share` if the source is no point;
-//! - `/images/NAME`: float32, always (thickness, y, x), with `units`, `axes`, `sampling_angstrom` and
-//!   `origin_angstrom` as (y, x), `thicknesses_angstrom`, and `inner_mrad`, `outer_mrad` of a
-//!   detector, `defocus_angstrom` of a series; `NAME_noisy`: counts over its `electrons_per_pixel`;
+//! - `/` attributes: `format` ("stemgen images"), `format_version`, `stemgen_version`, `command_line`, `request` (JSON),
+//!   `structure_sha256` (of the structure file), `settings` (JSON), `structure_file`, `wavelength_angstrom`, `band_limit_mrad`,
+//!   `accuracy` (JSON: requested and achieved) if one was requested; `source_fwhm_angstrom` and `source_lorentz_share` if the source is
+//!   no point;
+//! - `/images/NAME`: float32, always (thickness, y, x), with `units`, `axes`, `sampling_angstrom` and `origin_angstrom` as (y, x),
+//!   `thicknesses_angstrom`, and `inner_mrad`, `outer_mrad` of a detector, `defocus_angstrom` of a series; `NAME_noisy`: counts divided by
+//!   the image's `electrons_per_pixel`;
 //! - `/counts/NAME`: uint32, the electrons counted, with the same attributes and `electrons_per_pixel`, `seed`;
-//! - `/entry` (NXentry) shows the images once more, as NXdata that NeXus readers open with its axes. All images of a detector are one
-//!   stack `/entry/NAME/data` (defocus, thickness, y, x), without the axes that have one value; counts are at
-//!   `/entry/NAME_counts`. `data` is a link, or a virtual dataset, of the images above: no value is stored twice. The attributes
-//!   `default` lead to the first;
+//! - `/entry` (NXentry) holds the images again as NXdata, which NeXus readers open with its axes. All images of a detector are one stack
+//!   `/entry/NAME/data` (defocus, thickness, y, x), without the axes that have one value; counts are at `/entry/NAME_counts`. `data` is a
+//!   link to the images above, or a virtual dataset of them: no value is stored twice. The attributes `default` lead to the first stack;
 //! - `/exit_wave` of a plane wave: complex64, (configuration, y, x), with `sampling_angstrom`;
 //! - `/specimen`: `cell` (rows are vectors) and `positions` in Angstrom, `numbers`,
 //!   `sigma_angstrom`; mean positions of the atoms that were simulated. The attribute `strain_percent` is the largest principal strain
@@ -39,10 +38,10 @@ const FORMAT_VERSION: i64 = 1;
 const DEFLATE: u8 = 1;
 /// Axes of images.
 const AXES: [&str; 3] = ["thickness", "y", "x"];
-/// The file itself, as virtual datasets name it.
+/// The file itself, in virtual datasets.
 const THIS_FILE: &str = ".";
 
-/// What is stored besides images.
+/// Origin of the images: command, settings and atoms.
 #[derive(Debug, Clone)]
 pub struct Origin<'a> {
     /// The command as typed.
@@ -61,18 +60,18 @@ pub struct Origin<'a> {
     pub band_limit_mrad: f64,
     /// The electron source; `None` for a point.
     pub source: Option<Source>,
-    /// What was asked and found about the accuracy, as JSON.
+    /// Requested and achieved accuracy, as JSON.
     pub accuracy: Option<String>,
     /// Edges of the box in Angstrom.
     pub box_angstrom: [f64; 3],
-    /// The largest principal strain in per cent that made the box orthogonal.
+    /// Largest principal strain in per cent that made the box orthogonal, if any did.
     pub strain_percent: Option<f64>,
     /// The atoms.
     pub sites: &'a [Site],
 }
 
 impl<'a> Origin<'a> {
-    /// That of the results of a simulation, without an accuracy.
+    /// Collects the origin of a simulation's results, without an accuracy.
     ///
     /// # Errors
     /// [`Error::Io`] for the structure file, whose digest is taken.
@@ -101,14 +100,14 @@ impl<'a> Origin<'a> {
     }
 }
 
-/// One image per thickness.
+/// The images of one detector, one for each thickness.
 #[derive(Debug, Clone)]
 pub struct ImageStack<'a> {
     /// Name of the dataset.
     pub name: &'a str,
-    /// (thickness, y, x)
+    /// Values: [thickness, y, x].
     pub data: ArrayView3<'a, f32>,
-    /// What the values are fractions of.
+    /// Unit of the values, which are fractions.
     pub units: &'a str,
     /// Pixel (x, y) in Angstrom.
     pub step_angstrom: [f64; 2],
@@ -116,20 +115,20 @@ pub struct ImageStack<'a> {
     pub origin_angstrom: [f64; 2],
     /// Thicknesses in Angstrom.
     pub thicknesses_angstrom: &'a [f64],
-    /// Defocus in Angstrom, of an image of a series.
+    /// Defocus in Angstrom, for an image of a series.
     pub defocus_angstrom: Option<f64>,
     /// Inner and outer angle of the detector in mrad.
     pub annulus_mrad: Option<[f64; 2]>,
-    /// Electrons that fell on a pixel, of an image with their noise.
+    /// Electrons that fell on a pixel, for an image with noise.
     pub electrons_per_pixel: Option<f64>,
 }
 
 /// The electrons counted for an image.
 #[derive(Debug, Clone)]
 pub struct ImageCounts<'a> {
-    /// The image that they belong to.
+    /// The image from which the electrons are drawn.
     pub stack: &'a ImageStack<'a>,
-    /// (thickness, y, x)
+    /// Counts: [thickness, y, x].
     pub data: ArrayView3<'a, u32>,
     /// Electrons that fell on a pixel.
     pub electrons_per_pixel: f64,
@@ -140,14 +139,13 @@ pub struct ImageCounts<'a> {
 /// Exit waves of a plane wave.
 #[derive(Debug, Clone, Copy)]
 pub struct ExitWaves<'a> {
-    /// (configuration, y, x)
+    /// Waves: [configuration, y, x].
     pub data: ArrayView3<'a, Complex32>,
     /// Pixel (x, y) in Angstrom.
     pub step_angstrom: [f64; 2],
 }
 
-/// Writes a file of images. It appears complete or not at all; an existing one is replaced only if
-/// `overwrite`.
+/// Writes a file of images. It appears complete or not at all; an existing file is replaced only if `overwrite` is set.
 ///
 /// # Errors
 /// [`crate::Error::Io`], [`crate::Error::Hdf5`].
@@ -256,7 +254,7 @@ fn write_array<T: hdf5::H5Type + Clone>(
     builder.with_data(&data.as_standard_layout()).create(name)
 }
 
-/// The images once more, as NeXus has them, and as Berkeley's EMD (version 0.2) does: `dim1` is another name of the first axis.
+/// Writes the images again in the layout of NeXus, and of Berkeley's EMD (version 0.2), where `dim1` is another name of the first axis.
 fn write_entry(file: &File, images: &[ImageStack], counts: &[ImageCounts]) -> hdf5::Result<()> {
     let series = ImageSeries::group(images);
     let Some(first) = series.first() else { return Ok(()) };
@@ -279,10 +277,10 @@ fn write_entry(file: &File, images: &[ImageStack], counts: &[ImageCounts]) -> hd
     Ok(())
 }
 
-/// A series as readers of NeXus see it.
+/// A series in the layout of NeXus.
 struct ShownSeries<'x, 's, 'a> {
     series: &'x ImageSeries<'s, 'a>,
-    /// The group with its images.
+    /// Group of the series' images in the file.
     folder: &'static str,
     units: &'x str,
 }
@@ -293,7 +291,7 @@ impl ShownSeries<'_, '_, '_> {
         text(&group, "NX_class", "NXdata")?;
         text(&group, "signal", "data")?;
         text(&group, "title", name)?;
-        // HyperSpy looks for it here: the last two axes are those of an image.
+        // HyperSpy reads this attribute of the group: the last two axes belong to an image.
         text(&group, "interpretation", "image")?;
         number(&group, "emd_group_type", 1_i64)?;
         self.write_data::<T>(&group)?;
@@ -316,7 +314,7 @@ impl ShownSeries<'_, '_, '_> {
         Ok(())
     }
 
-    /// A link where the stored image has these axes already, else a view of the stored images.
+    /// Writes a link if the stored image has these axes already, else a virtual dataset of the stored images.
     fn write_data<T: hdf5::H5Type>(&self, group: &Group) -> hdf5::Result<()> {
         let shape = self.series.shape();
         let stored = |stack: &ImageStack| format!("/{}/{}", self.folder, stack.name);
@@ -351,7 +349,7 @@ impl ShownSeries<'_, '_, '_> {
     }
 }
 
-/// Axes, pixel and detector of an image.
+/// Writes axes, pixel and detector of an image.
 fn describe(dataset: &Dataset, stack: &ImageStack) -> hdf5::Result<()> {
     axes(dataset, &AXES)?;
     describe_pixel(dataset, stack)?;
@@ -372,7 +370,7 @@ fn describe(dataset: &Dataset, stack: &ImageStack) -> hdf5::Result<()> {
 }
 
 fn describe_pixel(dataset: &Dataset, stack: &ImageStack) -> hdf5::Result<()> {
-    // NeXus readers show an image at once.
+    // With this attribute NeXus readers show an image at once.
     text(dataset, "interpretation", "image")?;
     let [x, y] = stack.step_angstrom;
     array(dataset, "sampling_angstrom", &[y, x])?;

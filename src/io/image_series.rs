@@ -1,10 +1,10 @@
-//! Images of one detector that belong together: those of a defocus series make one stack with named axes.
+//! Groups images of one detector: the images of a defocus series make one stack with named axes.
 
 use ndarray::{ArrayD, Axis};
 
 use super::image_file::ImageStack;
 
-/// An axis of a stack beside y and x.
+/// An axis of a stack, other than y and x.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SeriesAxis {
     /// `defocus` or `thickness`.
@@ -23,12 +23,12 @@ pub struct ImageSeries<'s, 'a> {
 }
 
 impl<'s, 'a> ImageSeries<'s, 'a> {
-    /// One image, with its thicknesses.
+    /// Makes a series of one image, with its thicknesses.
     pub fn of_one(stack: &'s ImageStack<'a>) -> Self {
         ImageSeries { name: stack.name.to_owned(), stacks: vec![stack] }
     }
 
-    /// Images put together by detector, in the order of the first of each. An image alone keeps its name.
+    /// Groups images by detector, in the order of the first image of each. A single image keeps its name.
     pub fn group(stacks: &'s [ImageStack<'a>]) -> Vec<Self> {
         let mut series: Vec<Self> = Vec::new();
         for stack in stacks {
@@ -45,12 +45,12 @@ impl<'s, 'a> ImageSeries<'s, 'a> {
         series
     }
 
-    /// The first of its images, which says what they share.
+    /// Returns the first image, whose properties all images share.
     pub fn first(&self) -> &'s ImageStack<'a> {
         self.stacks[0]
     }
 
-    /// The axes before y and x. An axis with one value is left out.
+    /// Returns the axes before y and x. An axis with one value is left out.
     pub fn axes(&self) -> Vec<SeriesAxis> {
         let mut axes = Vec::new();
         if self.stacks.len() > 1 {
@@ -66,21 +66,21 @@ impl<'s, 'a> ImageSeries<'s, 'a> {
         axes
     }
 
-    /// Lengths of all axes, the last two of y and x.
+    /// Returns the lengths of all axes; the last two are y and x.
     pub fn shape(&self) -> Vec<usize> {
         let (_, rows, columns) = self.first().data.dim();
         let along = self.axes().into_iter().map(|axis| axis.values_angstrom.len());
         along.chain([rows, columns]).collect()
     }
 
-    /// All values, with these axes.
+    /// Returns all values, with these axes.
     pub fn data(&self) -> ArrayD<f32> {
         let values = self.stacks.iter().flat_map(|stack| stack.data.iter().copied()).collect();
-        // The shape has as many values as there are; an empty array stands for what cannot be.
+        // The shape always fits the number of values; the empty array is never returned.
         ArrayD::from_shape_vec(self.shape(), values).unwrap_or_else(|_| ArrayD::zeros(vec![0, 0]))
     }
 
-    /// What each image shows, in the order of the data: `defocus 50 A, thickness 20 A`; empty for one image.
+    /// Describes each image, in the order of the data: `defocus 50 A, thickness 20 A`; empty for one image.
     pub fn labels(&self) -> Vec<String> {
         let mut labels = vec![String::new()];
         for axis in self.axes() {
@@ -97,7 +97,7 @@ impl<'s, 'a> ImageSeries<'s, 'a> {
 }
 
 impl SeriesAxis {
-    /// First value and step, where the steps are equal to a thousandth.
+    /// Returns first value and step, if the steps are equal to a thousandth.
     pub fn even(&self) -> Option<[f64; 2]> {
         let [first, second, ..] = self.values_angstrom[..] else { return None };
         let step = second - first;
@@ -108,12 +108,12 @@ impl SeriesAxis {
     }
 }
 
-/// A length to a hundredth of an Angstrom, without zeros at its end.
+/// Rounds a length to a hundredth of an Angstrom, and drops zeros at the end.
 pub(super) fn rounded(angstrom: f64) -> f64 {
     (100.0 * angstrom).round() / 100.0
 }
 
-/// `HAADF` and `HAADF_noisy` for `HAADF_defocus_50A` and `HAADF_defocus_50A_noisy`.
+/// Returns `HAADF` and `HAADF_noisy` for `HAADF_defocus_50A` and `HAADF_defocus_50A_noisy`.
 fn series_name(name: &str, defocus_angstrom: Option<f64>) -> String {
     let part = defocus_angstrom.map(|defocus| format!("_defocus_{defocus}A"));
     match part.as_deref().and_then(|part| Some((name.rfind(part)?, part.len()))) {

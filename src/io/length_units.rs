@@ -1,12 +1,12 @@
 //! Units in which files give the size of a pixel.
 
-/// What is known of the edge of a pixel in nm; otherwise why it is not known.
+/// Edge of a pixel in nm, or the reason why it is not known.
 pub type StatedPixel = std::result::Result<f64, String>;
 
-/// Sides of a pixel that differ by less are the same.
+/// Largest relative difference of the sides of a square pixel.
 const SQUARE: f64 = 1e-3;
 
-/// A unit of length in nm, as programs write it.
+/// Returns a unit of length in nm, in the spellings of various programs.
 pub(super) fn unit_nm(unit: &str) -> Option<f64> {
     let plain = unit.trim().trim_matches(['[', ']', '(', ')']).replace('_', "");
     Some(match plain.as_str() {
@@ -23,7 +23,7 @@ pub(super) fn unit_nm(unit: &str) -> Option<f64> {
     })
 }
 
-/// The edge of a pixel in nm whose sides along x and y are given in their units.
+/// Returns the edge of a pixel in nm from its sides along x and y with their units.
 pub(super) fn square_nm(sides: [(f64, &str); 2]) -> StatedPixel {
     let [(x, unit_x), (y, unit_y)] = sides;
     let said = || format!("it says {x} `{unit_x}` x {y} `{unit_y}`");

@@ -1,4 +1,4 @@
-//! Files of images and worlds (HDF5, schemas written and read here only) and of their atoms.
+//! Files of images and worlds (HDF5; their schemas are defined only here) and of their atoms.
 
 #[cfg(feature = "report")]
 pub mod arrays;

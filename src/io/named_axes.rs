@@ -1,26 +1,26 @@
-//! The dimensions of an array as its file describes them, and which of them are x and y.
+//! Dimensions of an array as its file describes them, and the search for x and y among them.
 
-/// What a file says of one dimension of an array.
+/// Description of one dimension of an array.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct NamedAxis {
-    /// Its name; empty if it has none.
+    /// Name; empty if the file gives none.
     pub name: String,
     /// Distance of neighbouring entries, in [`Self::unit`].
     pub step: Option<f64>,
-    /// Place of the first entry, in [`Self::unit`].
+    /// Position of the first entry, in [`Self::unit`].
     pub first: Option<f64>,
-    /// The unit of both; empty if it has none.
+    /// Unit of `step` and `first`; empty if the file gives none.
     pub unit: String,
 }
 
-/// Names of the axis to the right, without regard to case: of most programs, of NeXus for scanning microscopes, of pictures.
+/// Names of the axis to the right, in any case: of most programs, of NeXus for scanning microscopes, and of pictures.
 const X: [&str; 4] = ["x", "x_position", "axis_i", "width"];
 /// Names of the axis downwards.
 const Y: [&str; 4] = ["y", "y_position", "axis_j", "height"];
-/// A step that differs by more than this share of the mean step is another step.
+/// Largest relative deviation of a step from the mean step of an evenly spaced axis.
 const EVEN: f64 = 1e-2;
 
-/// The dimensions called x and y, where one is called each.
+/// Returns the dimensions named x and y, if exactly one has each name.
 pub(super) fn x_and_y<'a>(names: impl Iterator<Item = &'a str>) -> Option<[usize; 2]> {
     let names: Vec<String> = names.map(|name| name.trim().to_ascii_lowercase()).collect();
     let only = |known: [&str; 4]| {
@@ -30,7 +30,7 @@ pub(super) fn x_and_y<'a>(names: impl Iterator<Item = &'a str>) -> Option<[usize
     Some([only(X)?, only(Y)?])
 }
 
-/// The step of places along an axis, if they are evenly spaced. Two places may stand for all: the first two.
+/// Returns the step of positions along an axis, if they are evenly spaced. Some programs store only the first two positions.
 pub(super) fn even_step(places: &[f64]) -> Option<f64> {
     let steps = places.len().checked_sub(1).filter(|n| *n > 0)?;
     let step = (places[steps] - places[0]) / steps as f64;

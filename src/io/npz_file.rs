@@ -1,4 +1,4 @@
-//! NumPy's `.npz`: named arrays in one file.
+//! Writes NumPy's `.npz`: named arrays in one file.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -17,10 +17,10 @@ pub struct NpzWriter {
 }
 
 impl NpzWriter {
-    /// Adds an array; `numpy.load` has it under this name.
+    /// Adds an array; `numpy.load` returns it under this name.
     ///
     /// # Errors
-    /// [`Error::Io`] of what could not be written.
+    /// [`Error::Io`] if writing fails.
     pub fn add<T: WriteNpyExt>(&mut self, name: &str, array: &T) -> std::io::Result<()> {
         let mut bytes = Vec::new();
         array.write_npy(&mut bytes).map_err(std::io::Error::other)?;
@@ -30,7 +30,7 @@ impl NpzWriter {
     /// Adds records: `fields` is NumPy's list of names and types, `values` the bytes of one record after the other.
     ///
     /// # Errors
-    /// [`Error::Io`] of what could not be written.
+    /// [`Error::Io`] if writing fails.
     pub fn add_records(
         &mut self,
         name: &str,
@@ -44,7 +44,7 @@ impl NpzWriter {
     /// Adds an array of texts.
     ///
     /// # Errors
-    /// [`Error::Io`] of what could not be written.
+    /// [`Error::Io`] if writing fails.
     pub fn add_texts(&mut self, name: &str, texts: &[&str]) -> std::io::Result<()> {
         let length = texts.iter().map(|text| text.chars().count()).max().unwrap_or(0).max(1);
         let padded = |text: &&str| {
@@ -62,7 +62,7 @@ impl NpzWriter {
     }
 }
 
-/// The head of an array of NumPy (format 1.0) with one axis: its length is a multiple of 64.
+/// Returns the header of a one-dimensional NumPy array (format 1.0); its length is a multiple of 64.
 fn head(descr: &str, count: usize) -> Vec<u8> {
     let text = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': ({count},), }}");
     let length = (10 + text.len() + 1).next_multiple_of(64);

@@ -1,4 +1,4 @@
-//! Which kinds of files hold patterns, known by the ending of their name.
+//! Kinds of files for patterns, which are recognised by the ending of their name.
 
 use std::path::{Path, PathBuf};
 
@@ -7,9 +7,9 @@ use crate::detect::PatternDetector;
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Pixels along an edge of the EMPAD.
+/// Number of pixels along an edge of the EMPAD.
 pub(super) const EMPAD_PIXELS: usize = 128;
-/// Rows of a frame of the EMPAD behind those of its pixels.
+/// Number of rows of an EMPAD frame behind the rows of its pixels.
 pub(super) const EMPAD_SPARE_ROWS: usize = 2;
 
 /// A kind of file of patterns.
@@ -26,7 +26,7 @@ pub enum PatternFormat {
 }
 
 impl PatternFormat {
-    /// The kind of a file.
+    /// Returns the kind of a file.
     ///
     /// # Errors
     /// [`Error::Invalid`] for any other ending.
@@ -48,7 +48,7 @@ impl PatternFormat {
         }
     }
 
-    /// Its ending, with the dot.
+    /// Returns the ending, with the dot.
     pub fn ending(self) -> &'static str {
         match self {
             PatternFormat::Emd => ".emd",
@@ -58,7 +58,7 @@ impl PatternFormat {
         }
     }
 
-    /// The files that belong to one, without itself.
+    /// Returns the further files that belong to a file of this kind.
     pub fn companions(self, path: &Path) -> Vec<PathBuf> {
         match self {
             PatternFormat::Emd | PatternFormat::Hspy => Vec::new(),
@@ -73,7 +73,7 @@ impl PatternFormat {
         }
     }
 
-    /// Refuses patterns that it cannot hold.
+    /// Refuses patterns that this kind of file cannot hold.
     ///
     /// # Errors
     /// [`Error::Invalid`] for rings in other files than `.emd`, for sparse files of patterns that are not counted, and for EMPAD files of
@@ -97,7 +97,7 @@ impl PatternFormat {
         }
     }
 
-    /// About how many bytes the patterns take: of sparse files, as many as there are electrons.
+    /// Estimates the number of bytes of the patterns; for sparse files one entry for each electron is assumed.
     pub fn bytes(self, header: &PatternHeader) -> u64 {
         let dense = data_bytes(header);
         match (self, header.counted) {

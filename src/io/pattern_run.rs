@@ -12,30 +12,31 @@ use crate::files::disk_space::check_places;
 use crate::progress::Progress;
 use crate::simulation::{PatternBand, PatternValues, SimulationJob};
 
-/// The patterns of a job, and the files that they go to.
+/// The patterns of a job, and the files for them.
 #[derive(Debug, Clone, Copy)]
 pub struct PatternRun<'a> {
     /// The simulation; its request asks for patterns.
     pub job: &'a SimulationJob,
-    /// The file, or what names of several begin with.
+    /// Path of the file, or the beginning of the names of several files.
     pub output: &'a Path,
-    /// The command as typed, or whatever asked for the patterns.
+    /// The command as typed, or another origin of the request.
     pub command_line: &'a str,
 }
 
-/// A file that was written.
+/// A file of patterns that was written.
 #[derive(Debug, Clone)]
 pub struct WrittenPatterns {
     /// The file.
     pub path: PathBuf,
-    /// What describes its patterns.
+    /// Description of its patterns.
     pub header: PatternHeader,
-    /// The mean of its patterns.
+    /// Mean of its patterns.
     pub mean: Array2<f64>,
 }
 
 impl PatternRun<'_> {
-    /// The files, in the order of defocus, then thickness, and what describes them: `NAME.emd`, or `NAME_defocus_50A_39.0A.emd`.
+    /// Returns the files and the description of their patterns, in the order of defocus, then thickness: `NAME.emd`, or
+    /// `NAME_defocus_50A_39.0A.emd`.
     pub fn files(&self) -> Vec<(PathBuf, PatternHeader)> {
         let headers = self.headers();
         let thicknesses = self.job.plans()[0].record_after.len();
@@ -56,7 +57,7 @@ impl PatternRun<'_> {
         headers.into_iter().enumerate().map(name).collect()
     }
 
-    /// What describes the patterns, in the order of defocus, then thickness.
+    /// Returns the descriptions of the patterns, in the order of defocus, then thickness.
     pub fn headers(&self) -> Vec<PatternHeader> {
         let (job, request) = (self.job, self.job.request());
         let Some(settings) = job.pattern_settings() else { return Vec::new() };
@@ -78,10 +79,10 @@ impl PatternRun<'_> {
         headers
     }
 
-    /// All files that will be written: those of the patterns, and what belongs to them.
+    /// Returns all files that will be written: files of patterns, and the files that belong to them.
     ///
     /// # Errors
-    /// [`Error::Invalid`](crate::Error::Invalid) for a name that says no kind of file, and for patterns that such files do not hold.
+    /// [`Error::Invalid`](crate::Error::Invalid) for a name that selects no kind of file, and for patterns that the kind cannot hold.
     pub fn outputs(&self) -> Result<Vec<PathBuf>> {
         let format = PatternFormat::of(self.output)?;
         let mut all = Vec::new();
@@ -93,7 +94,7 @@ impl PatternRun<'_> {
         Ok(all)
     }
 
-    /// Refuses patterns that their disk has no room for.
+    /// Refuses patterns for which their disk has too little room.
     ///
     /// # Errors
     /// [`Error::DiskSpace`](crate::Error::DiskSpace).
@@ -103,10 +104,10 @@ impl PatternRun<'_> {
         check_places(&needed.collect::<Vec<_>>())
     }
 
-    /// Simulates and writes. Files of one defocus appear together, complete.
+    /// Simulates and writes the patterns. Files of one defocus appear together, complete.
     ///
     /// # Errors
-    /// Those of [`SimulationJob::patterns`] and of the files.
+    /// Errors of [`SimulationJob::patterns`] and of the files.
     pub fn write(&self, overwrite: bool, progress: &dyn Progress) -> Result<Vec<WrittenPatterns>> {
         let vacuum = self.job.vacuum_pattern()?;
         let origin = Origin::of_simulation(self.job, self.command_line)?;
@@ -135,7 +136,7 @@ impl PatternRun<'_> {
     }
 }
 
-/// Writes rows to the files of the thicknesses, and adds the patterns up.
+/// Writes rows to the files of the thicknesses, and sums the patterns.
 fn take(
     writers: &mut [PatternWriter],
     sums: &mut [Array2<f64>],

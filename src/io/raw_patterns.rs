@@ -1,9 +1,9 @@
-//! Files of patterns that are no HDF5: sparse counts (raw CSR of LiberTEM 0.16), and frames of the EMPAD.
+//! Writes files of patterns other than HDF5: sparse counts (raw CSR of LiberTEM 0.16), and frames of the EMPAD.
 //!
-//! - raw CSR: a TOML file that names three arrays: where the pixels of each pattern begin (int64), the pixels that electrons hit (int32,
-//!   row-major) and their electrons (int32). Its table `stemgen` says what the patterns are of.
-//! - EMPAD: for each probe 130 x 128 float32, of which the last two rows hold nothing; patterns are upside down, as the detector
-//!   gives them. `NAME.json` is for phaser, `NAME.xml` for LiberTEM, HyperSpy and py4DSTEM.
+//! - raw CSR: a TOML file that names three arrays: the start of each pattern's pixels (int64), the pixels that electrons hit (int32,
+//!   row-major) and their electrons (int32). Its table `stemgen` describes the origin of the patterns.
+//! - EMPAD: for each probe 130 x 128 float32, of which the last two rows are empty; patterns are upside down, as the detector records them.
+//!   `NAME.json` is for phaser, `NAME.xml` for LiberTEM, HyperSpy and py4DSTEM.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -16,7 +16,7 @@ use super::pattern_file::{PatternHeader, PatternOrigin};
 use super::pattern_format::{EMPAD_PIXELS, EMPAD_SPARE_ROWS, PatternFormat};
 use crate::error::{Error, Result};
 
-/// One file of several, under the name that it has until all are complete.
+/// One of several files, under its temporary name until all are complete.
 struct RawPart {
     path: PathBuf,
     file: BufWriter<File>,
@@ -40,14 +40,14 @@ impl RawPart {
 
 /// Writes raw CSR.
 pub(super) struct CsrWriter {
-    /// Index pointers, indices, values.
+    /// The files of index pointers, indices and values.
     parts: [RawPart; 3],
-    /// Pixels so far.
+    /// Number of hit pixels so far.
     hit: i64,
 }
 
 impl CsrWriter {
-    /// `temporaries` are the TOML file and its companions, at `path`.
+    /// Starts the files; `temporaries` are the TOML file and its companions, at `path`.
     pub fn new(
         temporaries: &[PathBuf],
         path: &Path,
@@ -77,7 +77,7 @@ impl CsrWriter {
         Ok(CsrWriter { parts, hit: 0 })
     }
 
-    /// The next rows, (row, column, ky, kx).
+    /// Appends rows, (row, column, ky, kx).
     pub fn counts(&mut self, rows: ArrayView4<'_, u32>) -> Result<()> {
         let [indptr, indices, values] = &mut self.parts;
         for row in rows.outer_iter() {
@@ -104,7 +104,7 @@ pub(super) struct EmpadWriter {
 }
 
 impl EmpadWriter {
-    /// `temporaries` are the frames, the JSON and the XML file, at `path`.
+    /// Starts the files; `temporaries` are the frames, the JSON and the XML file, at `path`.
     pub fn new(
         temporaries: &[PathBuf],
         path: &Path,
@@ -122,7 +122,7 @@ impl EmpadWriter {
         Ok(EmpadWriter { frames: RawPart::new(&temporaries[0], path)? })
     }
 
-    /// The next rows, (row, column, ky, kx).
+    /// Appends rows, (row, column, ky, kx).
     pub fn put<T: Copy>(
         &mut self,
         rows: ArrayView4<'_, T>,
@@ -141,7 +141,7 @@ impl EmpadWriter {
     }
 }
 
-/// A pattern upside down, and the spare rows.
+/// Returns a pattern upside down, with the spare rows.
 fn frame<T: Copy>(pattern: ArrayView2<'_, T>, value: &impl Fn(T) -> f32) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(4 * EMPAD_PIXELS * (EMPAD_PIXELS + EMPAD_SPARE_ROWS));
     for row in pattern.outer_iter().rev() {
@@ -153,7 +153,7 @@ fn frame<T: Copy>(pattern: ArrayView2<'_, T>, value: &impl Fn(T) -> f32) -> Vec<
     bytes
 }
 
-/// What the patterns are of.
+/// Describes the origin of the patterns.
 fn described(header: &PatternHeader, origin: &PatternOrigin<'_>) -> serde_json::Value {
     let mut all = json!({
         "energy_kev": header.energy_kev,
@@ -178,7 +178,7 @@ fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().display().to_string()
 }
 
-/// The keys of phaser's `EmpadMetadata`: volts and metres, defocus positive for overfocus.
+/// Returns the keys of phaser's `EmpadMetadata`: volts and metres, defocus positive for overfocus.
 fn empad_json(path: &Path, header: &PatternHeader, origin: &PatternOrigin<'_>) -> String {
     let ([x, y], [rows, columns]) = (header.scan.step_angstrom, header.scan.shape);
     let metres = |angstrom: f64| 1e-10 * angstrom;
@@ -208,7 +208,7 @@ fn empad_xml(path: &Path, header: &PatternHeader) -> String {
         |text: String| text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
     let raw = escaped(file_name(path));
     let (width, height) = (1e-10 * x * columns as f64, 1e-10 * y * rows as f64);
-    // In one line: HyperSpy takes white space for the content of an element.
+    // The text is on one line: HyperSpy reads white space as the content of an element.
     format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\
          <root>\

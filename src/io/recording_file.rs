@@ -1,20 +1,20 @@
-//! Files of recordings. Their schema is here only.
+//! Writes files of recordings. This is the only place where their schema is defined.
 //!
 //! - `/` attributes: `format` ("stemgen recording"), `format_version`, `stemgen_version`, `numerics_version`, `command_line`,
 //!   `recipe` (TOML), `acquisition` (JSON), `seed`, `pixel_size_nm`, `origin_nm` (x, y: the first pixel in the world),
 //!   `dose_electrons_per_angstrom2`, `beam_current_pa`, `electrons_per_pixel` (of one frame), `dwell_us`, `frames`, `clipped_pixels`;
 //! - `/recording`: counts, (row, column) or (frame, row, column): uint8 or uint16 from a converter, uint32 where its frames are
 //!   added, else float32;
-//! - `/ideal`: float32 (row, column), the noise-free image at the pixels that were meant, in fractions of the beam;
-//! - `/carbon_nm`: (frame), mean thickness of the carbon on the part when each frame began, where it grows or is there;
+//! - `/ideal`: float32 (row, column), the noise-free image at the pixels of the intended scan, in fractions of the beam;
+//! - `/carbon_nm`: (frame), mean thickness of the carbon on the part at the beginning of each frame, if there is carbon or carbon grows;
 //! - `/stages/moved`, `/stages/electrons`: (frame, row, column), the noise-free image where the beam was, and the electrons that
 //!   hit the detector; on request;
-//! - `/ground_truth`: as in a world, from the centre of the first pixel; with `columns/position_in_image`, (x, y) in pixels where
-//!   each column appears ((frame, column, 2) for frames that are kept), and `drift`: (line, 3), time in s and the drift (x, y) in nm;
+//! - `/ground_truth`: as in a world, from the centre of the first pixel; with `columns/position_in_image`, (x, y) in pixels where each
+//!   column appears ((frame, column, 2) if frames are kept), and `drift`: (line, 3), time in s and the drift (x, y) in nm;
 //! - `/series`, in files of [`crate::live`] only, where `/recording` is a stack of recordings of one place, one after the other, and
 //!   `/ideal` and `/ground_truth` are of the first: `ideal` (recording, row, column), `vacancies` (recording, column), `dose_before`
 //!   (recording; mean electrons per square Angstrom on the place), `lost/ELEMENT` (recording), and the attribute `history` (JSON);
-//! - `/entry`: the recording once more, by a link, as NXdata with its axes.
+//! - `/entry`: a link to the recording, as NXdata with its axes.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -37,59 +37,59 @@ const DEFLATE: u8 = 1;
 /// Longest edge of a chunk in pixels.
 const CHUNK_PX: usize = 512;
 
-/// What a file of a recording holds, but for the ground truth.
+/// Contents of a file of a recording, except the ground truth.
 #[derive(Debug, Clone)]
 pub struct RecordingFile<'a> {
     /// The command as typed.
     pub command_line: String,
     /// The recipe as TOML.
     pub recipe: String,
-    /// What it was recorded with.
+    /// The settings of scan and detector.
     pub acquisition: &'a Acquisition,
-    /// The electrons.
+    /// The exposure: electrons and time.
     pub exposure: &'a Exposure,
-    /// Seed of all that is random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// The pixels that were meant.
+    /// The pixels of the intended scan.
     pub frame: &'a ScanFrame,
     /// Counts: (frame, row, column).
     pub data: &'a Array3<f64>,
-    /// Whether `data` is a stack, of frames or of recordings; it holds one otherwise.
+    /// Whether `data` is a stack of frames or of recordings; otherwise it holds one image.
     pub is_stack: bool,
-    /// Whether each of its images is the sum of several frames.
+    /// Whether each image of `data` is the sum of several frames.
     pub is_sum: bool,
     /// The noise-free image, [row, column].
     pub ideal: &'a Array2<f32>,
     /// The noise-free image where the beam was, and the electrons: (frame, row, column).
     pub stages: Option<[&'a Array3<f32>; 2]>,
-    /// Mean thickness in nm of the carbon on the part when each frame began; empty without any.
+    /// Mean thickness in nm of the carbon on the part at the beginning of each frame; empty without carbon.
     pub carbon_nm: &'a [f64],
-    /// Pixels that the converter cut off.
+    /// Number of pixels that the converter clipped.
     pub clipped: u64,
-    /// What changed from recording to recording of a series.
+    /// Changes from recording to recording of a series.
     pub series: Option<SeriesPart<'a>>,
 }
 
-/// What changed from recording to recording.
+/// Changes from recording to recording of a series.
 #[derive(Debug, Clone)]
 pub struct SeriesPart<'a> {
-    /// The noise-free image when each began: (recording, row, column).
+    /// The noise-free image at the beginning of each recording: (recording, row, column).
     pub ideal: &'a Array3<f32>,
-    /// Vacant sites of the columns of the ground truth when each began: (recording, column).
+    /// Vacant sites of the columns of the ground truth at the beginning of each recording: (recording, column).
     pub vacancies: &'a Array2<i32>,
-    /// Mean dose in electrons per square Angstrom that the place had had when each began.
+    /// Mean dose in electrons per square Angstrom on the place before each recording.
     pub dose_before: &'a [f64],
-    /// Atoms that each took away, by element.
+    /// Number of atoms that each recording removed, by element.
     pub lost: BTreeMap<String, Vec<u64>>,
-    /// What was done, as JSON.
+    /// The actions so far, as JSON.
     pub history: String,
 }
 
-/// Writes a recording; `truth` adds the ground truth. The file appears complete or not at all; an existing one is replaced only
-/// if `overwrite`.
+/// Writes a recording; `truth` adds the ground truth. The file appears complete or not at all; an existing file is replaced only if
+/// `overwrite` is set.
 ///
 /// # Errors
-/// [`crate::Error::Io`], [`crate::Error::Hdf5`], and those of `truth`.
+/// [`crate::Error::Io`], [`crate::Error::Hdf5`], and errors of `truth`.
 pub fn write_recording(
     path: &Path,
     overwrite: bool,
@@ -179,7 +179,7 @@ fn write_counts<T: H5Type + Clone>(
         }
     };
     text(&dataset, "units", "counts")?;
-    // NeXus readers show an image at once.
+    // With this attribute NeXus readers show an image at once.
     text(&dataset, "interpretation", "image")?;
     number(&dataset, "pixel_size_nm", r.frame.pixel_nm)
 }
@@ -209,7 +209,7 @@ fn write_entry(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
     let group = hdf5_create::group(&entry, "recording")?;
     text(&group, "NX_class", "NXdata")?;
     text(&group, "signal", "data")?;
-    // HyperSpy looks for it here: the last two axes are those of an image.
+    // HyperSpy reads this attribute of the group: the last two axes belong to an image.
     text(&group, "interpretation", "image")?;
     group.link_soft("/recording", "data")?;
     let along = |k: usize, n: usize| -> Vec<f64> {

@@ -1,4 +1,4 @@
-//! Names and types of what a world file holds. Positions are in nm.
+//! Names and types of the datasets in a world file. Positions are in nm.
 
 use hdf5::types::FixedAscii;
 
@@ -13,24 +13,24 @@ pub const OVERVIEW: &str = "overview";
 pub const TILES: &str = "tiles";
 /// Group of noiseless tiles, in fractions of the beam.
 pub const CLEAN: &str = "clean";
-/// Group of the detectors of a world with several: one group each, with its tiles, overview and noiseless tiles. Those of the main
-/// detector are links to where the images of a single detector lie.
+/// Group of the detectors of a world with several: one group each, with its tiles, overview and noiseless tiles. The group of the main
+/// detector links to the place of the images of a single detector.
 pub const DETECTORS: &str = "detectors";
 /// Group of the ground truth.
 pub const TRUTH: &str = "ground_truth";
-/// Which pixels show specimen.
+/// Dataset that is true for pixels that show specimen.
 pub const VALID_REGION: &str = "valid_region";
 /// Group of polylines below the ground truth.
 pub const GRAIN_BOUNDARIES: &str = "grain_boundaries";
 /// Group of polylines between phases below the ground truth.
 pub const PHASE_BOUNDARIES: &str = "phase_boundaries";
-/// Phase of every pixel, below the ground truth; only where there is more than one.
+/// Phase of every pixel, below the ground truth; only if there is more than one phase.
 pub const PHASE_MAP: &str = "phase_map";
-/// Group of particles below the ground truth; only where there are some.
+/// Group of particles below the ground truth; only if there are particles.
 pub const PARTICLES: &str = "particles";
 /// Group of projected atomic columns below the ground truth.
 pub const COLUMNS: &str = "columns";
-/// Group below the ground truth of what a recorded file says of its unit cells; only where it lists some.
+/// Group below the ground truth with the unit cells that a recorded file lists; only if it lists some.
 pub const UNIT_CELLS: &str = "unit_cells";
 
 /// `defect_types`: `""`, `"vacancy_O"`, `"substitution_Ge"`.
@@ -40,12 +40,12 @@ pub type MorphologyName = FixedAscii<16>;
 /// Composition of a column, vacant sites left out: `"O25 Ti26"`.
 pub type CompositionText = FixedAscii<32>;
 
-/// Name of the dataset of a tile.
+/// Returns the name of the dataset of a tile.
 pub fn tile_name(row: usize, column: usize) -> String {
     format!("{row}_{column}")
 }
 
-/// Path of the group of a detector.
+/// Returns the path of the group of a detector.
 pub fn detector_group(name: &str) -> String {
     format!("{DETECTORS}/{name}")
 }

@@ -1,4 +1,4 @@
-//! Reads images that `stemgen simulate`, `acquire` and `live` wrote, to show them. Worlds have a reader of their own.
+//! Reads images that `stemgen simulate`, `acquire` and `live` wrote, for display. World files are read by [`super::world_file`].
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ use super::hdf5_values;
 use super::world_file::regular_file;
 use crate::error::{Error, Result};
 
-/// What kind of file holds the images.
+/// Kind of a file of images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ImageKind {
     /// Simulated images ([`super::image_file`]): fractions of the beam, one image for each thickness.
@@ -27,15 +27,15 @@ pub struct StoredImages {
     path: PathBuf,
     file: File,
     bytes: u64,
-    /// What wrote it.
+    /// Kind of the file.
     pub kind: ImageKind,
-    /// The command that made it, as typed.
+    /// The command that wrote the file, as typed.
     pub command_line: Option<String>,
     /// The request that made simulated images, as JSON.
     pub request: Option<String>,
     /// SHA-256 of the structure file that simulated images were made from.
     pub structure_sha256: Option<String>,
-    /// The names of its images, in the order of the file.
+    /// Names of the images, in the order of the file.
     pub names: Vec<String>,
 }
 
@@ -43,25 +43,25 @@ pub struct StoredImages {
 pub struct StoredImage {
     /// The values, [row, column] = [y, x].
     pub values: Array2<f32>,
-    /// How many images the stack holds from which it comes.
+    /// Number of images in the stack that the image belongs to.
     pub of: usize,
     /// Pixel (x, y) in Angstrom.
     pub step_angstrom: [f64; 2],
 }
 
-/// The image of a recording, and what was meant to be recorded.
+/// Datasets of a recording: the recorded image, and the noise-free one.
 const RECORDING: &str = "recording";
 const IDEAL: &str = "ideal";
 
 impl StoredImages {
-    /// Opens a file of images; `None` for other files of HDF5, such as worlds.
+    /// Opens a file of images; `None` for other HDF5 files, such as worlds.
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Parse`] for a file that is damaged or holds no image.
     pub fn open(path: &Path) -> Result<Option<Self>> {
         let bytes = regular_file(path)?;
         let refused = |fault: String| Error::parse(path, 0, fault);
-        // Whoever opens it as a world says what is wrong with it.
+        // Other faults are reported when the file is opened as a world.
         let file = match hdf5_open::open(path) {
             Ok(file) => file,
             Err(e) if hdf5_open::is_locked(&e) => {
@@ -98,7 +98,7 @@ impl StoredImages {
         }))
     }
 
-    /// Image number `index` of the stack of this name; the last one if there is no number.
+    /// Reads image number `index` of the stack of this name; the last one if `index` is `None`.
     ///
     /// # Errors
     /// [`Error::Parse`] for a name or a number that the file does not have, and for damaged values.

@@ -1,4 +1,4 @@
-//! TIFF with calibrated pixels and grey values, as ImageJ and tifffile read them.
+//! Writes TIFF with calibrated pixels and grey values, as ImageJ and tifffile read them.
 
 use std::path::Path;
 
@@ -7,36 +7,36 @@ use crate::error::{Error, Result};
 use crate::files::atomic_write;
 use crate::setting::Setting;
 
-/// Digits of the resolution behind the point.
+/// Denominator of the resolution, which gives it six decimals.
 const PER_MILLION: f64 = 1e6;
-/// Entries of a page; the first has two more where its images have labels.
+/// Number of entries of a page; the first page has two more if its images have labels.
 const TAGS: usize = 14;
 const LABEL_TAGS: usize = 2;
-/// Bytes of the two resolutions.
+/// Number of bytes of the two resolutions.
 const RESOLUTION_BYTES: usize = 16;
-/// Tags of ImageJ: lengths of the parts of its metadata, and these.
+/// Tags of ImageJ: lengths of the parts of its metadata, and the metadata.
 const METADATA_COUNTS: u16 = 50838;
 const METADATA: u16 = 50839;
-/// Kinds of values.
+/// Codes of the kinds of values.
 const UNSIGNED: u16 = 1;
 const FLOAT: u16 = 3;
-/// Bytes of values that leave room for the rest below the 4 GiB that places of 32 bits reach.
+/// Largest number of bytes of values; the rest of the file then fits below the 4 GiB that offsets of 32 bits reach.
 const LARGEST: usize = 4_000_000_000;
 
-/// Kinds of grey values.
+/// Types of grey values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TiffDepth {
     /// Whole numbers from 0 to 255, from the least to the greatest value of the stack.
     Bits8,
-    /// From 0 to 65 535.
+    /// Whole numbers from 0 to 65 535, from the least to the greatest value of the stack.
     Bits16,
     /// The values themselves, in single precision.
     Bits32,
 }
 
-/// Writes a series as one TIFF, a page for each image: one for each thickness, and in a defocus series for each defocus. `ImageDescription`
-/// and resolution tell ImageJ the pixel in Angstrom, the values that whole numbers stand for, and what each image shows. In ImageJ one
-/// axis is that of the slices; of two, the thickness is that of the slices, and the defocus that of the frames.
+/// Writes a series as one TIFF with a page for each image: for each thickness, and in a defocus series also for each defocus.
+/// `ImageDescription` and resolution give ImageJ the pixel in Angstrom, the values that whole numbers represent, and the label of each
+/// image. In ImageJ a single axis becomes slices; of two axes, the thickness becomes slices and the defocus frames.
 ///
 /// # Errors
 /// [`Error::Invalid`] for more than a TIFF can hold, [`Error::Io`].
@@ -57,8 +57,8 @@ pub fn write_tiff(
     })
 }
 
-/// All pages: first the values of all, then what each page is. ImageJ takes the values of a stack from behind those of its first page,
-/// other readers go from page to page.
+/// Returns all pages: first the values of all pages, then their directories. ImageJ reads the values of a stack from the place behind the
+/// values of its first page; other readers go from page to page.
 fn bytes(series: &ImageSeries, depth: TiffDepth) -> Vec<u8> {
     let ends = |(a, b): (f32, f32), v: &f32| (a.min(*v), b.max(*v));
     let all = || series.stacks.iter().flat_map(|stack| stack.data.iter());
@@ -97,7 +97,7 @@ fn bytes(series: &ImageSeries, depth: TiffDepth) -> Vec<u8> {
     out
 }
 
-/// What a page is.
+/// Directory of a page.
 struct Directory {
     at: usize,
     columns: usize,
@@ -109,7 +109,7 @@ struct Directory {
 }
 
 impl Directory {
-    /// Appends it; returns where the place of the next has to be written.
+    /// Appends the directory; returns the place at which the offset of the next directory must be written.
     fn write(
         &self,
         out: &mut Vec<u8>,
@@ -136,7 +136,7 @@ impl Directory {
             long(279, self.size),
             (282, 5, 1, resolution),
             (283, 5, 1, resolution + 8),
-            // 1: a unit that the description names
+            // 1: a unit that the description names.
             short(296, 1),
             short(339, self.format),
         ];
@@ -171,15 +171,15 @@ impl Directory {
     }
 }
 
-/// What ImageJ shows above each image of a stack, in its own tags.
+/// Labels that ImageJ shows above each image of a stack, in ImageJ's tags.
 struct Labels {
-    /// Bytes of the head and of each label.
+    /// Number of bytes of the header and of each label.
     counts: Vec<usize>,
     bytes: Vec<u8>,
 }
 
 impl Labels {
-    /// `None` for one image.
+    /// Makes the labels; `None` for one image.
     fn new(labels: &[String]) -> Option<Self> {
         if labels.len() < 2 {
             return None;
@@ -196,7 +196,7 @@ impl Labels {
     }
 }
 
-/// The text that ImageJ reads: line by line, a key and a value.
+/// Returns the text that ImageJ reads: a key and a value on each line.
 fn description(
     series: &ImageSeries,
     calibration: Option<[f32; 2]>,
@@ -288,7 +288,7 @@ mod tests {
                 line.map_or(f32::from(key == "c1="), |v| v.parse().unwrap())
             };
             let (offset, slope) = (number("c0="), number("c1="));
-            // one after the other, as ImageJ takes them
+            // The pages' values lie one after the other, as ImageJ reads them.
             let starts: Vec<u64> = (0..2)
                 .map(|n| {
                     decoder.seek_to_image(n).unwrap();

@@ -1,4 +1,4 @@
-//! Writes what is known of an image: the group of the ground truth, piece by piece.
+//! Writes the ground truth of an image: a group of the file, piece by piece.
 
 use std::path::{Path, PathBuf};
 
@@ -15,10 +15,10 @@ use crate::error::Result;
 const APPEARANCES: &str = "position_in_image";
 const APPEARANCE_ORIGIN: &str = "(x, y): x with the column, y with the row, from the centre of pixel (0, 0); the centre of mass of \
                                  a Gaussian of 0.4 A (at least one pixel) about the column, as the recording shows it";
-/// Entries of a chunk.
+/// Number of entries in a chunk.
 const TRUTH_CHUNK: usize = 16_384;
 
-/// What a polyline of the ground truth separates.
+/// The parts that a polyline of the ground truth separates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LineKind<'a> {
     /// Two grains: rotation in degrees and coincidence index.
@@ -43,13 +43,13 @@ pub struct ParticleBatch {
 /// Sites of some columns, in the order of the file.
 #[derive(Debug, Clone, Default)]
 pub struct TruthBatch {
-    /// (x, y) in nm.
+    /// Positions (x, y) in nm.
     pub positions: Vec<[f32; 2]>,
     /// Depth below the entrance surface in nm.
     pub z: Vec<f32>,
     /// Codes of [`schema::atom_type`].
     pub types: Vec<i32>,
-    /// True where a defect.
+    /// Whether each site is a defect.
     pub defects: Vec<bool>,
     /// Atomic numbers.
     pub numbers: Vec<i32>,
@@ -57,7 +57,7 @@ pub struct TruthBatch {
     pub defect_names: Vec<DefectName>,
     /// Index of the column of each site.
     pub columns: Vec<i32>,
-    /// (x, y) of each column in nm.
+    /// Position (x, y) of each column in nm.
     pub column_positions: Vec<[f32; 2]>,
     /// Sites, vacancies and substitutions of each column.
     pub column_counts: [Vec<i32>; 3],
@@ -65,10 +65,10 @@ pub struct TruthBatch {
     pub column_compositions: Vec<CompositionText>,
 }
 
-/// The ground truth of a file being written.
+/// The ground truth of a file that is being written.
 pub struct TruthWriter {
     path: PathBuf,
-    /// Rows and columns of the image, and of the chunks of what has as many.
+    /// Shape [rows, columns] of the image, and of the chunks of datasets with that shape.
     shape: [[usize; 2]; 2],
     group: Group,
     site_pairs: Dataset,
@@ -136,7 +136,7 @@ impl TruthWriter {
         append(&self.column_compositions, &b.column_compositions)
     }
 
-    /// More sites and columns.
+    /// Appends sites and columns.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
@@ -144,7 +144,7 @@ impl TruthWriter {
         self.append_lists(batch).at(&self.path)
     }
 
-    /// Sites of which nothing is known but where they are, (x, y) in nm: all pristine. The lists of what is not known are taken out.
+    /// Writes sites of which only the position (x, y) in nm is known: all pristine. Lists of unknown properties are removed.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
@@ -164,7 +164,7 @@ impl TruthWriter {
         write().at(&self.path)
     }
 
-    /// What a recorded file says of the sites one by one: a vector, in its units, and intensities with their names.
+    /// Writes the properties of each site in a recorded file: a vector, in its units, and intensities with their names.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
@@ -193,7 +193,7 @@ impl TruthWriter {
         write().at(&self.path)
     }
 
-    /// Where more columns appear in a recording: (x, y) in pixels from the centre of the first.
+    /// Appends the places at which columns appear in a recording: (x, y) in pixels from the centre of the first.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
@@ -215,7 +215,7 @@ impl TruthWriter {
         write().at(&self.path)
     }
 
-    /// Where columns appear in each frame of a recording: (frame, column, 2).
+    /// Writes the places at which columns appear in each frame of a recording: (frame, column, 2).
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
@@ -230,7 +230,7 @@ impl TruthWriter {
         write().at(&self.path)
     }
 
-    /// How the specimen drifted: time in s, and (x, y) in nm, of each line.
+    /// Writes the drift of the specimen: time in s, and (x, y) in nm, of each line.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
@@ -246,7 +246,7 @@ impl TruthWriter {
         write().at(&self.path)
     }
 
-    /// A polyline between two grains or phases.
+    /// Adds a polyline between two grains or phases.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
@@ -290,7 +290,7 @@ impl TruthWriter {
         write().at(&self.path)
     }
 
-    /// Rows of the phase map, from row `first`.
+    /// Writes rows of the phase map, from row `first`.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
@@ -302,7 +302,7 @@ impl TruthWriter {
         write().at(&self.path)
     }
 
-    /// All particles.
+    /// Writes all particles.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].

@@ -1,4 +1,4 @@
-//! All that the file of a world holds, name by name: a digest for each group, link, attribute and dataset.
+//! Computes digests of the contents of a world file, name by name: of each group, link, attribute and dataset.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -12,13 +12,13 @@ use super::hdf5_values;
 use super::world_file::WorldFile;
 use crate::error::{Error, Result};
 
-/// Bytes of each digest.
+/// Number of bytes of each digest.
 const DIGEST_BYTES: usize = 16;
 
 impl WorldFile {
-    /// A digest of each group, link, attribute and dataset of the file, by its name: `/overview`, `/overview@factor`. Things whose names
-    /// are numbers, such as tiles, have one digest together, `/tiles/*`. A digest is that of type, shape and values: how values are packed
-    /// does not matter. Attributes of types that no world has are known by their type alone.
+    /// Returns a digest of each group, link, attribute and dataset of the file, by its name: `/overview`, `/overview@factor`. Objects whose
+    /// names are numbers, such as tiles, share one digest, `/tiles/*`. A digest covers type, shape and values; the packing of the values
+    /// does not matter. For attributes of types that do not occur in worlds it covers the type alone.
     ///
     /// # Errors
     /// [`Error::Parse`] for a damaged file.
@@ -40,7 +40,7 @@ fn contents_of(file: &File, path: &Path, bytes: u64) -> Guarded<BTreeMap<String,
 /// The digests so far.
 struct Contents<'a> {
     path: &'a Path,
-    /// Bytes of the file.
+    /// Size of the file in bytes.
     bytes: u64,
     digests: BTreeMap<String, Sha256>,
 }
@@ -62,7 +62,7 @@ impl Contents<'_> {
         Ok(())
     }
 
-    /// Where soft links lead.
+    /// Adds the targets of soft links.
     fn links(&mut self, file: &File, walk: &Walk) -> Guarded<()> {
         let token = |name: &str| file.loc_info_by_name(name).ok().map(|i| format!("{:?}", i.token));
         let things = walk.groups.iter().chain(&walk.datasets);
@@ -114,7 +114,7 @@ impl Contents<'_> {
         Ok(())
     }
 
-    /// Type and shape of an attribute, and its values as bytes; no bytes where no world has such a type.
+    /// Returns type and shape of an attribute, and its values as bytes; no bytes for a type that does not occur in worlds.
     fn attribute(&self, attribute: &Attribute) -> Guarded<(String, Vec<u8>)> {
         fn texts<T: H5Type>(from: &Attribute, bytes: impl Fn(&T) -> &[u8]) -> Guarded<Vec<u8>> {
             let texts: Vec<T> = from.read_raw().map_err(damaged)?;
@@ -136,7 +136,7 @@ impl Contents<'_> {
         Ok((format!("{kind:?} {:?}", attribute.shape()), values))
     }
 
-    /// Adds values to the digest of a name, with the length of each so that no two lists are the same bytes.
+    /// Adds values to the digest of a name, each with its length, so that different lists never give the same bytes.
     fn add(&mut self, path: &str, attribute: &str, values: &[&[u8]]) {
         let hash = self.digests.entry(format!("{}{attribute}", together(path))).or_default();
         for value in [path.as_bytes()].iter().chain(values) {
@@ -146,7 +146,7 @@ impl Contents<'_> {
     }
 }
 
-/// The name under which a thing is known: those whose names are numbers stand together, `/tiles/3_0` as `/tiles/*`.
+/// Returns the name of an object's digest: objects whose names are numbers share one, `/tiles/3_0` has `/tiles/*`.
 fn together(path: &str) -> String {
     if path.is_empty() {
         return "/".into();
@@ -162,7 +162,7 @@ fn together(path: &str) -> String {
 mod tests {
     use super::*;
 
-    /// A small file, changed by `change`, and the names of all digests that are others than those of the file as it was.
+    /// Changes a small file by `change`, and returns the names of all digests that then differ.
     fn changed(change: &dyn Fn(&File)) -> Vec<String> {
         let folder = tempfile::tempdir().unwrap();
         let contents = |name: &str, change: &dyn Fn(&File)| {

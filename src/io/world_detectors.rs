@@ -1,4 +1,4 @@
-//! The detectors of a world file that has several.
+//! Reads the detectors of a world file that has several.
 
 use hdf5::File;
 
@@ -10,10 +10,10 @@ use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Detectors that a file may name.
+/// Largest number of detectors in a file.
 const MOST_DETECTORS: usize = 1000;
 
-/// The detectors that a file names, the main one first; none in a file without names for them.
+/// Returns the detectors that a file names, the main one first; empty for a file without names for them.
 pub(super) fn read(file: &File) -> Guarded<Vec<Detector>> {
     if !file.link_exists(schema::DETECTORS) {
         return Ok(Vec::new());
@@ -37,15 +37,15 @@ pub(super) fn read(file: &File) -> Guarded<Vec<Detector>> {
 }
 
 impl WorldFile {
-    /// The detectors of a world that names several, the main one first; none where there is one without a name.
+    /// Returns the detectors of a world that names several, the main one first; empty if it has one without a name.
     pub fn detectors(&self) -> &[Detector] {
         &self.metadata.detectors
     }
 
-    /// The same world with the images of a detector: its tiles, noiseless tiles, overview and scaling. The truth is that of all.
+    /// Returns the world with the images of a detector: its tiles, noiseless tiles, overview and scaling. All detectors share the truth.
     ///
     /// # Errors
-    /// [`Error::Choice`] naming the detectors that there are; [`Error::Invalid`] for a damaged file.
+    /// [`Error::Choice`] with the names of the detectors; [`Error::Invalid`] for a damaged file.
     pub fn on_detector(&self, name: &str) -> Result<WorldFile> {
         let detectors = self.detectors();
         let Some(number) = detectors.iter().position(|d| d.name == name) else {
@@ -68,7 +68,7 @@ impl WorldFile {
         Ok(world)
     }
 
-    /// Path of a group or dataset of the images that are read.
+    /// Returns the path of a group or dataset of the images that are read.
     pub(super) fn of_images(&self, name: &str) -> String {
         format!("{}{name}", self.images)
     }

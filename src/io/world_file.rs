@@ -19,13 +19,13 @@ use crate::setting::Setting;
 #[derive(Debug, Clone, Default, PartialEq)]
 #[non_exhaustive]
 pub struct GroundTruth {
-    /// (x, y) in nm from the centre of pixel (0, 0).
+    /// Positions (x, y) in nm from the centre of pixel (0, 0).
     pub positions: Vec<[f32; 2]>,
-    /// Depth in nm; empty when the file has none (as those below).
+    /// Depth in nm; this and the following lists are empty if the file lacks them.
     pub z: Vec<f32>,
     /// Codes of [`schema::atom_type`].
     pub types: Vec<i32>,
-    /// True where a defect.
+    /// Whether each site is a defect.
     pub defects: Vec<bool>,
     /// Atomic numbers.
     pub numbers: Vec<i32>,
@@ -39,22 +39,22 @@ pub struct GroundTruth {
 pub struct WorldFile {
     pub(super) path: PathBuf,
     pub(super) file: File,
-    /// Size of the file.
+    /// Size of the file in bytes.
     pub(super) bytes: u64,
     pub(super) metadata: WorldMetadata,
-    /// The group of the detector whose images are read, with `/` behind it; empty for the main one.
+    /// Path of the group of the detector whose images are read, with `/` behind it; empty for the main detector.
     pub(super) images: String,
 }
 
 /// Lists of the ground truth with one entry for each site.
 const SITE_LISTS: [&str; 6] =
     ["defect_mask", "atom_z", "atomic_numbers", "defect_types", "atom_columns", "atom_types"];
-/// Relative difference of lengths that are the same.
+/// Largest relative difference of lengths that count as equal.
 const SAME_FIELD: f64 = 1e-6;
 
 impl WorldFile {
-    /// Opens a world and checks that it is one, and whole. All that a world holds is in its file: links to other
-    /// files are refused, and so are lists that are larger than a file of this size can hold.
+    /// Opens a world, and checks that it is a complete world. All data of a world are in its file: links to other files are refused, and so
+    /// are lists that are larger than a file of this size can hold.
     ///
     /// # Errors
     /// [`Error::Io`], or [`Error::Invalid`] for a foreign, truncated or incomplete file.
@@ -71,13 +71,13 @@ impl WorldFile {
         Ok(world)
     }
 
-    /// Where the file is.
+    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Fails on the first pixel of a part of the image that is no finite number, and names its place.
-    /// The part's first pixel is `first` (row, column).
+    /// Checks that all pixels of a part of the image are finite; the error names the place of the first that is not. The part's first pixel
+    /// is `first` (row, column).
     ///
     /// # Errors
     /// [`Error::Invalid`].
@@ -99,19 +99,19 @@ impl WorldFile {
         Err(not_a_world(&self.path, what))
     }
 
-    /// What describes the world.
+    /// Returns the description of the world.
     pub fn metadata(&self) -> &WorldMetadata {
         &self.metadata
     }
 
-    /// Height and width in pixels.
+    /// Returns height and width in pixels.
     pub fn shape(&self) -> [usize; 2] {
         let m = &self.metadata;
         m.grid_shape.map(|n| n * (m.tile_size_px - m.overlap_px) + m.overlap_px)
     }
 
-    /// A tile as the file holds it (rows = y, columns = x; both `tile_size_px`): intensities
-    /// normalised with the scale and offset of [`WorldMetadata::scaling`].
+    /// Reads a tile as the file holds it, [row, column] = [y, x], with `tile_size_px` rows and columns: intensities normalised with the
+    /// scale and offset of [`WorldMetadata::scaling`].
     ///
     /// # Errors
     /// [`Error::Invalid`] outside the grid or for a damaged tile.
@@ -124,16 +124,16 @@ impl WorldFile {
         self.file.link_exists(&self.of_images(schema::CLEAN))
     }
 
-    /// A noiseless tile (rows = y, columns = x; both `tile_size_px`) in fractions of the beam.
+    /// Reads a noiseless tile, [row, column] = [y, x], with `tile_size_px` rows and columns, in fractions of the beam.
     ///
     /// # Errors
-    /// As [`WorldFile::tile`], also when the world was built without.
+    /// As [`WorldFile::tile`], also if the world was built without noiseless tiles.
     pub fn clean_tile(&self, row: usize, column: usize) -> Result<Array2<f32>> {
         self.tile_of(schema::CLEAN, row, column)
     }
 
-    /// The normalised image of some rows (y) and columns (x) of pixels, with the shape (rows, columns)
-    /// asked for, put together from the tiles.
+    /// Reads the normalised image of some rows (y) and columns (x) of pixels from the tiles; the result has the requested shape [rows,
+    /// columns].
     ///
     /// # Errors
     /// [`Error::Invalid`] outside the image, or for a damaged tile.
@@ -141,17 +141,17 @@ impl WorldFile {
         self.stitched_of(schema::TILES, rows, columns)
     }
 
-    /// The noiseless image of some rows (y) and columns (x) of pixels, in fractions of the beam, with the
-    /// shape (rows, columns) asked for.
+    /// Reads the noiseless image of some rows (y) and columns (x) of pixels, in fractions of the beam; the result has the requested shape
+    /// [rows, columns].
     ///
     /// # Errors
-    /// As [`WorldFile::stitched`]; [`Error::Choice`] when the world was built without.
+    /// As [`WorldFile::stitched`]; [`Error::Choice`] if the world was built without noiseless tiles.
     pub fn stitched_clean(&self, rows: Range<usize>, columns: Range<usize>) -> Result<Array2<f32>> {
         self.need_clean()?;
         self.stitched_of(schema::CLEAN, rows, columns)
     }
 
-    /// Fails where the world was built without noiseless tiles.
+    /// Fails if the world was built without noiseless tiles.
     ///
     /// # Errors
     /// [`Error::Choice`].
@@ -203,7 +203,7 @@ impl WorldFile {
         Ok(out)
     }
 
-    /// The overview: the whole image made smaller (rows = y, columns = x), normalised as the tiles.
+    /// Reads the overview: the whole image at lower resolution, [row, column] = [y, x], normalised like the tiles.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a damaged file.
@@ -219,13 +219,13 @@ impl WorldFile {
         self.all(&dataset, &name)
     }
 
-    /// How many pixels of the image, along an edge, the file says that a pixel of the overview stands for.
+    /// Returns the number of image pixels along an edge of an overview pixel, as given in the file.
     pub fn overview_factor(&self) -> Option<u64> {
         let overview = self.dataset(&self.of_images(schema::OVERVIEW)).ok()?;
         hdf5_guard::number(&overview, "factor")
     }
 
-    /// The pixel (row, column) of the recipe's whole field at which the file says that its own begins.
+    /// Returns the pixel (row, column) of the recipe's whole field at which the image begins, as given in the file.
     pub fn origin_px(&self) -> Option<[f64; 2]> {
         let metadata = self.file.group(schema::METADATA).ok()?;
         hdf5_guard::pair(&metadata, "origin_px_in_full_field")
@@ -239,7 +239,7 @@ impl WorldFile {
         Ok(self.truth_dataset("atom_types")?.size())
     }
 
-    /// The sites `range`.
+    /// Reads the sites `range`.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a range beyond the end or a damaged file.
@@ -256,7 +256,7 @@ impl WorldFile {
         Ok(GroundTruth {
             positions: pairs.rows().into_iter().map(|r| [r[0], r[1]]).collect(),
             types: self.required("atom_types", &range)?,
-            // As bytes: another program's file may hold values that are no `bool`.
+            // Read as bytes: the file of another program may hold values that are no valid `bool`.
             defects: self.required::<u8>("defect_mask", &range)?.iter().map(|v| *v != 0).collect(),
             z: self.optional("atom_z", &range)?,
             numbers: self.optional("atomic_numbers", &range)?,
@@ -279,7 +279,7 @@ impl WorldFile {
         self.all(&dataset, &name)
     }
 
-    /// All values of the dataset that is called `name`.
+    /// Reads all values of the dataset that is called `name`.
     pub(super) fn all<T: Plain, D: Dimension>(
         &self,
         dataset: &Dataset,
@@ -288,7 +288,7 @@ impl WorldFile {
         hdf5_values::all(dataset, &self.path).map_err(|fault| self.unreadable(name, &fault))
     }
 
-    /// A part of the values of the dataset that is called `name`, one range for each axis.
+    /// Reads a part of the values of the dataset that is called `name`, one range for each axis.
     pub(super) fn part<T: Plain, D: Dimension>(
         &self,
         dataset: &Dataset,
@@ -315,7 +315,7 @@ impl WorldFile {
         self.dataset(&format!("{}/{name}", schema::TRUTH))
     }
 
-    /// A dataset of values that are larger than a number.
+    /// Opens a dataset of values that are larger than a number.
     pub(super) fn dataset_of<T: H5Type>(&self, name: &str) -> Result<Dataset> {
         let dataset = self.dataset(name)?;
         let refused = |fault| not_a_world(&self.path, format!("/{name} {fault}"));
@@ -336,7 +336,7 @@ impl WorldFile {
         }
     }
 
-    /// All tiles there, lists of the ground truth equally long, and sizes that fit each other.
+    /// Checks that all tiles exist, that lists of the ground truth are equally long, and that sizes agree.
     pub(super) fn check(&self) -> Result<()> {
         let refuse = |found: String| Err(not_a_world(&self.path, found));
         let name = self.of_images(schema::TILES);
@@ -360,7 +360,7 @@ impl WorldFile {
         Ok(())
     }
 
-    /// The first tile is as large as announced, the image no larger than the file can hold, and the field as wide as
+    /// Checks that the first tile has the stated size, that the image is no larger than the file can hold, and that the field is as wide as
     /// its pixels.
     fn check_size(&self) -> Result<()> {
         let m = &self.metadata;
@@ -377,7 +377,7 @@ impl WorldFile {
         let fault = |fault| not_a_world(&self.path, format!("/{} {fault}", schema::TILES));
         hdf5_guard::check_bytes(&self.shape(), size_of::<f32>(), self.bytes).map_err(fault)?;
         let field = self.shape().map(|n| n as f64 * m.pixel_size_nm);
-        // No number is the same as NaN.
+        // The comparison is false for NaN.
         let same = |k: usize| (m.fov_nm[k] - field[k]).abs() <= SAME_FIELD * field[k];
         if !(0..2).all(same) {
             let found = format!(
@@ -390,7 +390,7 @@ impl WorldFile {
     }
 }
 
-/// The size of a file that is neither a folder nor a device: a pipe would be waited for.
+/// Returns the size of a file that is neither a folder nor a device: reading a pipe would wait for its writer.
 pub(super) fn regular_file(path: &Path) -> Result<u64> {
     let about = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
     if about.is_file() {

@@ -1,4 +1,4 @@
-//! How a world was made, as far as its file tells and [`super::WorldMetadata`] does not.
+//! Reads how a world was made, as far as [`super::WorldMetadata`] does not hold it.
 
 use serde::Serialize;
 
@@ -10,37 +10,37 @@ use super::world_file::WorldFile;
 #[derive(Debug, Clone, Default, PartialEq)]
 #[non_exhaustive]
 pub struct WorldMaking {
-    /// Version of pixel values ([`crate::numerics`]).
+    /// Version of the numerics ([`crate::numerics`]).
     pub numerics_version: Option<u32>,
-    /// Largest width, and overlap, of sub-tiles in nm, as they were asked for.
+    /// Largest width and overlap of sub-tiles in nm, as requested.
     pub subtile_nm: Option<[f64; 2]>,
-    /// What an audit beforehand found, as JSON.
+    /// The audit before the build, as JSON.
     pub audit: Option<String>,
-    /// What the tiles were recorded with, as JSON.
+    /// The settings of the recording, as JSON.
     pub acquisition: Option<String>,
     /// Current of the beam of a recording in pA.
     pub beam_current_pa: Option<f64>,
-    /// Where a recorded image comes from.
+    /// Origin of a recorded image.
     pub recorded: Option<RecordedSource>,
 }
 
-/// Where the image of a world comes from that was recorded and not simulated.
+/// Origin of the image of a world that was recorded at a microscope and not simulated.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RecordedSource {
-    /// Name of its file.
+    /// Name of the recorded file.
     pub file: String,
     /// Checksum of that file.
     pub sha256: Option<String>,
     /// Kind of that file.
     pub format: Option<String>,
-    /// Name of the image in it.
+    /// Name of the image in that file.
     pub image: Option<String>,
-    /// Where the size of a pixel comes from.
+    /// Origin of the size of a pixel.
     pub pixel_size_from: Option<String>,
-    /// What of the recorded values became 0 and 1.
+    /// Recorded values that became 0 and 1.
     pub normalisation: Option<String>,
-    /// What stands in place of values that are missing.
+    /// Replacement of missing values.
     pub gaps: Option<String>,
     /// Name of the detector.
     pub detector: Option<String>,
@@ -66,7 +66,7 @@ impl RecordedSource {
 }
 
 impl WorldFile {
-    /// How it was made.
+    /// Reads how the world was made.
     pub fn making(&self) -> WorldMaking {
         let Ok(group) = self.file.group(schema::METADATA) else { return WorldMaking::default() };
         WorldMaking {

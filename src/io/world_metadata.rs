@@ -1,4 +1,4 @@
-//! What describes a world: the attributes of its file.
+//! Reads the description of a world: the attributes of its file.
 
 use std::path::Path;
 
@@ -10,10 +10,10 @@ use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Edges that a pixel may have.
+/// Allowed edges of a pixel in nm.
 const PIXELS_NM: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 
-/// What describes a world. Other programs may write fewer attributes: those are `None`.
+/// Description of a world. Other programs may write fewer attributes; missing ones are `None`.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct WorldMetadata {
@@ -33,9 +33,9 @@ pub struct WorldMetadata {
     pub recipe: Option<String>,
     /// Version of stemgen that built it.
     pub version: Option<String>,
-    /// Where the data come from, if the recipe says so: `synthetic_replay`.
+    /// Origin of the data, if the recipe gives it: `synthetic_replay`.
     pub source: Option<String>,
-    /// Engine that simulated it.
+    /// Name of the engine that simulated the image.
     pub engine: Option<String>,
     /// Version of the numerics ([`crate::numerics`]).
     pub numerics: Option<u32>,
@@ -47,22 +47,22 @@ pub struct WorldMetadata {
     pub thickness_nm: Option<f64>,
     /// Electrons per square Angstrom.
     pub dose_electrons_per_angstrom2: Option<f64>,
-    /// Whether the tiles hold the noise of that dose.
+    /// Whether the tiles hold the noise of the dose.
     pub noise: Option<bool>,
     /// Seed of all random numbers.
     pub seed: Option<u64>,
     /// Time that the last run of the build took, in s.
     pub wall_time_s: Option<f64>,
-    /// The detectors of a world with names for them, the main one first; else none.
+    /// The detectors of a world with names for them, the main one first; otherwise empty.
     pub detectors: Vec<Detector>,
 }
 
-/// The error for a file that is no world, or no whole one.
+/// Returns the error for a file that is no world, or no complete one.
 pub(super) fn not_a_world(path: &Path, what: impl Into<String>) -> Error {
     Error::invalid(Setting::WorldFile, path.display(), what)
 }
 
-/// What `/metadata` of a file says.
+/// Reads `/metadata` of a file.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a file that is no world, and for values that no world can have.
@@ -123,13 +123,13 @@ pub(super) fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
     Ok(metadata)
 }
 
-/// Scale and offset of a group of tiles.
+/// Reads scale and offset of a group of tiles.
 pub(super) fn scaling(file: &File, tiles: &str) -> Option<[f64; 2]> {
     let tiles = file.group(tiles).ok()?;
     Some([number::<f64>(&tiles, "scale")?, number::<f64>(&tiles, "offset")?])
 }
 
-/// What an HDF5 file without metadata of a world is.
+/// Describes an HDF5 file without the metadata of a world.
 fn found(file: &File) -> String {
     if text(file, "format").as_deref() == Some("stemgen images") {
         return "it holds images of `stemgen simulate`, which can draw them itself".into();

@@ -1,4 +1,4 @@
-//! What a world's ground truth says beside the sites: columns, boundaries, phases, particles.
+//! Reads a world's ground truth other than the sites: columns, boundaries, phases, particles.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
@@ -15,26 +15,26 @@ use super::world_metadata::not_a_world;
 use crate::error::Result;
 use crate::structure::elements;
 
-/// Sites that are read at a time.
+/// Number of sites that are read at a time.
 const SITES_AT_ONCE: usize = 1 << 20;
-/// In a file without columns, sites that lie this near to each other along x and y are one, in nm.
+/// In a file without columns, sites within this distance along x and y form one column, in nm.
 const SAME_PLACE_NM: f64 = 0.002;
-/// Places of sites, columns and boundaries are at most so far from the first pixel: 1 cm.
+/// Largest distance of sites, columns and boundaries from the first pixel: 1 cm.
 const FARTHEST_NM: f32 = 1e7;
 
 /// An atomic column of a world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct WorldColumn {
-    /// (x, y) in nm from the centre of pixel (0, 0).
+    /// Position (x, y) in nm from the centre of pixel (0, 0).
     pub position_nm: [f32; 2],
-    /// Lattice sites.
+    /// Number of lattice sites.
     pub sites: i32,
-    /// Vacant ones.
+    /// Number of vacant sites.
     pub vacancies: i32,
-    /// Those with another element.
+    /// Number of sites with another element.
     pub substitutions: i32,
-    /// Atoms, `O25 Ti26`; empty where the file does not tell.
+    /// Atoms, `O25 Ti26`; empty if the file does not give them.
     pub composition: CompositionText,
 }
 
@@ -42,15 +42,14 @@ pub struct WorldColumn {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct BoundaryLine {
-    /// (x, y) in nm from the centre of pixel (0, 0).
+    /// Corners (x, y) in nm from the centre of pixel (0, 0).
     pub points_nm: Vec<[f32; 2]>,
-    /// What it separates: `grain boundary, 36.87 deg, Sigma 5`.
+    /// The parts that it separates: `grain boundary, 36.87 deg, Sigma 5`.
     pub text: String,
 }
 
 impl WorldFile {
-    /// All atomic columns. In a file of another program that does not list them, sites above each
-    /// other are a column.
+    /// Reads all atomic columns. In a file of another program that does not list them, sites above each other form a column.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`] or [`crate::Error::Invalid`] for a damaged file.
@@ -65,7 +64,7 @@ impl WorldFile {
         let (sites, vacancies) = (counts("number_of_sites")?, counts("vacancies")?);
         let substitutions = counts("substitutions")?;
         let n = positions.nrows();
-        // Checked before compositions are made: they take the most.
+        // Checked before compositions are made, which take the most memory.
         let alike = [sites.len(), vacancies.len(), substitutions.len()] == [n; 3];
         let compositions: Vec<CompositionText> =
             match self.file.link_exists(&format!("{name}/composition")) {
@@ -132,7 +131,7 @@ impl WorldFile {
         Ok(columns)
     }
 
-    /// Calls `visit` with the index of the first and the sites of each part of the list of sites.
+    /// Calls `visit` for each part of the list of sites, with the index of its first site and its sites.
     ///
     /// # Errors
     /// As [`WorldFile::truth`].
@@ -147,7 +146,7 @@ impl WorldFile {
         Ok(())
     }
 
-    /// Polylines between grains, (x, y) in nm.
+    /// Reads the polylines between grains, (x, y) in nm.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`] for a damaged file.
@@ -155,7 +154,7 @@ impl WorldFile {
         Ok(self.lines(schema::GRAIN_BOUNDARIES)?.into_iter().map(|l| l.points_nm).collect())
     }
 
-    /// Polylines between phases, (x, y) in nm.
+    /// Reads the polylines between phases, (x, y) in nm.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`] for a damaged file.
@@ -163,7 +162,7 @@ impl WorldFile {
         Ok(self.lines(schema::PHASE_BOUNDARIES)?.into_iter().map(|l| l.points_nm).collect())
     }
 
-    /// All polylines, with what they separate.
+    /// Reads all polylines, with the parts that they separate.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`] for a damaged file.
@@ -173,8 +172,8 @@ impl WorldFile {
         Ok(lines)
     }
 
-    /// Code of the phase of each pixel of some rows (y) and columns (x), with the shape (rows, columns)
-    /// asked for; `None` in a world of one phase.
+    /// Reads the phase codes of some rows (y) and columns (x) of pixels, with the requested shape [rows, columns]; `None` in a world of one
+    /// phase.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`] outside the image, or for a damaged file.
@@ -198,7 +197,7 @@ impl WorldFile {
         self.part(&map, schema::PHASE_MAP, &[rows, columns]).map(Some)
     }
 
-    /// Names of the phases by their codes; empty where the file gives none.
+    /// Reads the names of the phases, in the order of their codes; empty if the file gives none.
     ///
     /// # Errors
     /// [`crate::Error::Invalid`] for a damaged file.
@@ -216,7 +215,7 @@ impl WorldFile {
         self.file.link_exists(&format!("{}/{}", schema::TRUTH, schema::PHASE_MAP))
     }
 
-    /// Particles that reach into the image; none in a world without.
+    /// Reads the particles that reach into the image; empty in a world without particles.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`] for a damaged file.
@@ -247,7 +246,7 @@ impl WorldFile {
         })
     }
 
-    /// Refuses places (nm) that are no finite numbers, or absurdly far away.
+    /// Refuses positions (nm) that are not finite, or impossibly far away.
     pub(super) fn check_places<'a>(
         &self,
         mut places: impl Iterator<Item = &'a f32>,
@@ -262,7 +261,7 @@ impl WorldFile {
         }
     }
 
-    /// The values of a list, whatever its shape.
+    /// Reads the values of a list of any shape.
     fn list<T: Plain>(&self, dataset: &Dataset, name: &str) -> Result<Vec<T>> {
         Ok(self.all::<T, IxDyn>(dataset, name)?.into_iter().collect())
     }

@@ -1,4 +1,4 @@
-//! Are the datasets of a world of the types and shapes of the schema? Readers in other languages rest on them.
+//! Checks that the datasets of a world have the types and shapes of the schema, on which readers in other languages rely.
 
 use hdf5::types::{FloatSize, IntSize, TypeDescriptor};
 
@@ -10,7 +10,7 @@ use crate::error::Result;
 const SINGLE: TypeDescriptor = TypeDescriptor::Float(FloatSize::U4);
 const INTEGER: TypeDescriptor = TypeDescriptor::Integer(IntSize::U4);
 
-/// Lists below the ground truth that a world has, if not all of them, and their types.
+/// Lists below the ground truth, of which a world has some or all, and their types.
 const LISTS: [(&str, TypeDescriptor); 11] = [
     ("atom_positions", SINGLE),
     ("atom_types", INTEGER),
@@ -29,7 +29,7 @@ impl WorldFile {
     /// Checks the types of images and lists, and the shape of the map of valid pixels; returns the number of datasets.
     ///
     /// # Errors
-    /// [`crate::Error::Invalid`] that names the first dataset of another type or shape.
+    /// [`crate::Error::Invalid`] with the name of the first dataset of another type or shape.
     pub fn check_types(&self) -> Result<usize> {
         let [rows, columns] = self.metadata.grid_shape;
         let images = [schema::TILES, schema::CLEAN].map(|group| self.of_images(group));

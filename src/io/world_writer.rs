@@ -16,7 +16,7 @@ use crate::error::{Error, Result};
 
 const DEFLATE: u8 = 1;
 
-/// What describes a world.
+/// Description of a world.
 #[derive(Debug, Clone, Default)]
 pub struct Header {
     /// Edge of a pixel in nm.
@@ -35,26 +35,26 @@ pub struct Header {
     pub thickness_nm: Option<f64>,
     /// Electrons per square Angstrom, if known.
     pub dose: Option<f64>,
-    /// Whether the tiles hold the noise of that dose, if known.
+    /// Whether the tiles hold the noise of the dose, if known.
     pub noise: Option<bool>,
-    /// Seed of all random numbers, if there are some.
+    /// Seed of all random numbers, if there are any.
     pub seed: Option<u64>,
-    /// The detectors of a world with names for them, the main one first; else none.
+    /// The detectors of a world with names for them, the main one first; otherwise empty.
     pub detectors: Vec<Detector>,
-    /// Largest width, and overlap, of sub-tiles in nm.
+    /// Largest width and overlap of sub-tiles in nm.
     pub subtile_nm: Option<[f64; 2]>,
-    /// Texts: name and value.
+    /// Text attributes: name and value.
     pub texts: Vec<(&'static str, String)>,
-    /// Other numbers: name and value.
+    /// Other attributes that are numbers: name and value.
     pub numbers: Vec<(&'static str, f64)>,
 }
 
-/// A world file being written.
+/// A world file that is being written.
 pub struct WorldWriter {
     path: PathBuf,
     file: File,
     detectors: Vec<Detector>,
-    /// Where images go: the file, or the group of another detector than the main one.
+    /// Group for the images: the file, or the group of a detector other than the main one.
     images: Group,
     tiles: Group,
     clean: Option<Group>,
@@ -63,7 +63,7 @@ pub struct WorldWriter {
 }
 
 impl WorldWriter {
-    /// Makes an empty file to see whether HDF5 can; it stays.
+    /// Creates an empty file to test whether HDF5 can; the file stays.
     ///
     /// # Errors
     /// [`Error::Hdf5`], [`Error::Io`].
@@ -71,7 +71,7 @@ impl WorldWriter {
         hdf5_create::file(path).at(path).map(drop)
     }
 
-    /// Creates (or replaces) the file and all that does not depend on the image.
+    /// Creates (or replaces) the file, and writes everything that does not depend on the image.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
@@ -102,7 +102,7 @@ impl WorldWriter {
         make().at(path)
     }
 
-    /// Images that are written from now on are those of another detector, counted from 0 for the main one.
+    /// Starts the images of another detector; its number counts from 0 for the main detector.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
@@ -117,7 +117,7 @@ impl WorldWriter {
         Ok(())
     }
 
-    /// The linear scaling of all tiles: fraction of the beam = value * scale + offset.
+    /// Writes the linear scaling of all tiles: fraction of the beam = value * scale + offset.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
@@ -130,8 +130,8 @@ impl WorldWriter {
         write().at(&self.path)
     }
 
-    /// The linear scaling of all tiles of a recorded image: value in its file = value * scale + offset. Nothing is known of fractions
-    /// of the beam.
+    /// Writes the linear scaling of all tiles of a recorded image: value in its file = value * scale + offset. Fractions of the beam are
+    /// not known.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
@@ -148,7 +148,7 @@ impl WorldWriter {
         write().at(&self.path)
     }
 
-    /// A tile, normalised.
+    /// Writes a normalised tile.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
@@ -156,7 +156,7 @@ impl WorldWriter {
         write_tile(&self.tiles, row, column, pixels).at(&self.path)
     }
 
-    /// A noiseless tile, in fractions of the beam; nothing when the file has none.
+    /// Writes a noiseless tile, in fractions of the beam; does nothing if the file has no noiseless tiles.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
@@ -167,7 +167,7 @@ impl WorldWriter {
         }
     }
 
-    /// The overview.
+    /// Writes the overview.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
@@ -181,7 +181,7 @@ impl WorldWriter {
         write().at(&self.path)
     }
 
-    /// Rows of the valid region, from row `first`.
+    /// Writes rows of the valid region, from row `first`.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
@@ -190,7 +190,7 @@ impl WorldWriter {
         self.valid.write_slice(&rows.as_standard_layout(), selection).at(&self.path)
     }
 
-    /// What the tiles were recorded with: counts of all frames = fraction of the beam * `counts[0]` + `counts[1]`.
+    /// Writes the settings of the recording: counts of all frames = fraction of the beam * `counts[0]` + `counts[1]`.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
@@ -213,12 +213,12 @@ impl WorldWriter {
         write().at(&self.path)
     }
 
-    /// The ground truth.
+    /// Returns the writer of the ground truth.
     pub fn truth(&self) -> &TruthWriter {
         &self.truth
     }
 
-    /// Writes everything out and closes the file.
+    /// Writes all data out and closes the file.
     ///
     /// # Errors
     /// [`Error::Hdf5`], [`Error::Io`].
@@ -260,7 +260,7 @@ fn write_header(group: &Group, h: &Header) -> hdf5::Result<()> {
     h.texts.iter().try_for_each(|(name, value)| text(group, name, value))
 }
 
-/// The groups of tiles, and of noiseless ones if they are kept.
+/// Creates the groups of tiles, and of noiseless tiles if they are kept.
 fn image_groups(group: &Group, keep_clean: bool) -> hdf5::Result<(Group, Option<Group>)> {
     let clean = keep_clean.then(|| hdf5_create::group(group, schema::CLEAN)).transpose()?;
     if let Some(clean) = &clean {
@@ -269,7 +269,8 @@ fn image_groups(group: &Group, keep_clean: bool) -> hdf5::Result<(Group, Option<
     Ok((hdf5_create::group(group, schema::TILES)?, clean))
 }
 
-/// A group for each detector. That of the main one has links to its images, which lie where those of a single detector do.
+/// Creates a group for each detector. The group of the main detector links to its images, which lie at the place of the images of a single
+/// detector.
 fn write_detectors(file: &File, detectors: &[Detector], keep_clean: bool) -> hdf5::Result<()> {
     let all = hdf5_create::group(file, schema::DETECTORS)?;
     let names: Vec<VarLenUnicode> = detectors.iter().filter_map(|d| d.name.parse().ok()).collect();

@@ -1,4 +1,4 @@
-//! Images of a field in blocks that are kept until the specimen there has changed.
+//! Images of a field in cached blocks, which are kept until the specimen there changes.
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -18,22 +18,22 @@ use crate::specimen::{DamagedSpecimen, Specimen};
 
 /// Edge of a block in pixels.
 const BLOCK_PX: usize = 64;
-/// A block shows nothing that lies further outside of it, in nm: more than half a window of a probe.
+/// Distance in nm beyond a block's edge up to which atoms can affect it: more than half a window of a probe.
 const REACH_NM: f64 = 1.2;
 
-/// Atoms that have changed may lie so far outside of where the electrons were, in nm: doses count in cells, and those of a column at its
-/// middle.
+/// Distance in nm beyond the exposed area up to which atoms may have changed. Doses are counted in cells, and a column's dose is the dose
+/// at its middle.
 const EDGE_NM: f64 = 0.2;
 
-/// An imager that keeps what it has made.
+/// An imager that caches the blocks that it has made.
 pub struct BlockImager {
     inner: Box<dyn RegionImager>,
     recipe: CheckedRecipe,
     specimen: Arc<DamagedSpecimen>,
-    /// Blocks that are kept at most.
+    /// Largest number of cached blocks.
     most: usize,
     reach_nm: f64,
-    /// Pixels around an image from which the source takes its share.
+    /// Pixels around an image that the blur of the source needs.
     margin_px: usize,
     kept: Mutex<ImagedBlocks>,
 }
@@ -41,22 +41,22 @@ pub struct BlockImager {
 #[derive(Default)]
 struct ImagedBlocks {
     blocks: HashMap<[usize; 2], Block>,
-    /// Where the specimen may have changed, one region after the other.
+    /// Regions in which the specimen may have changed, in the order of the exposures.
     exposed: Vec<Region>,
     clock: u64,
 }
 
 struct Block {
     image: Array2<f32>,
-    /// What it shows.
+    /// Digest of the atoms that the block shows.
     contents: u64,
-    /// How many of the exposed regions it takes into account.
+    /// Number of exposed regions that the image takes into account.
     seen: usize,
     used: u64,
 }
 
 impl BlockImager {
-    /// Keeps blocks of the images of `inner`, made of `recipe` and `specimen`, in about so many bytes.
+    /// Caches blocks of the images of `inner`, made from `recipe` and `specimen`, in about `bytes` bytes.
     pub fn new(
         inner: Box<dyn RegionImager>,
         recipe: &CheckedRecipe,
@@ -77,7 +77,7 @@ impl BlockImager {
         })
     }
 
-    /// Tells that the specimen may have changed in a region (nm of the full field).
+    /// Records that the specimen may have changed in a region (nm of the full field).
     pub fn changed(&self, region: Region) {
         if self.specimen.is_lasting() {
             return;
@@ -89,7 +89,7 @@ impl BlockImager {
         self.kept().exposed.push(region);
     }
 
-    /// Number of blocks that are kept.
+    /// Number of cached blocks.
     pub fn block_count(&self) -> usize {
         self.kept().blocks.len()
     }
@@ -105,19 +105,19 @@ impl BlockImager {
         PixelRect::new(first, [0, 1].map(|k| BLOCK_PX.min(full[k] - first[k])))
     }
 
-    /// Pixels, and those around them from which the source takes its share.
+    /// Pixels with the margin that the blur of the source needs.
     fn with_margin(&self, pixels: &PixelRect) -> PixelRect {
         let first = pixels.first.map(|n| n.saturating_sub(self.margin_px));
         let end = [0, 1].map(|k| pixels.first[k] + pixels.shape[k] + self.margin_px);
         PixelRect::new(first, [0, 1].map(|k| end[k] - first[k]))
     }
 
-    /// Pixels and what lies within a window of them, in nm of the full field.
+    /// The area of pixels and everything within a window of them, in nm of the full field.
     fn around(&self, pixels: &PixelRect) -> Region {
         pixels.region(self.recipe.field.pixel_nm()).grown(self.reach_nm)
     }
 
-    /// What a block shows, as a number.
+    /// Hashes the columns and sites that a block shows.
     fn contents(&self, pixels: &PixelRect) -> u64 {
         let found = self.specimen.query(&self.around(pixels));
         let mut hasher = DefaultHasher::new();
@@ -131,7 +131,7 @@ impl BlockImager {
         hasher.finish()
     }
 
-    /// A block, from what is kept where that is still right.
+    /// The image of a block: from the cache if it is still valid, else made now.
     fn block(&self, block: [usize; 2], progress: &dyn Progress) -> Result<Array2<f32>> {
         let pixels = self.rect(block);
         let shown = self.inner.blocks().map(|own| own.shown_area(&self.with_margin(&pixels)));
@@ -142,7 +142,7 @@ impl BlockImager {
         let mut contents = None;
         if let Some(seen) = kept.blocks.get(&block).map(|b| b.seen) {
             let meets = kept.exposed[seen..].iter().any(|region| region.meets(&area));
-            // An imager with blocks of its own finds out itself what has changed.
+            // An imager with cached blocks finds out which of them have changed.
             if meets && shown.is_none() {
                 contents = Some(self.contents(&pixels));
             }
@@ -158,7 +158,7 @@ impl BlockImager {
         drop(kept);
         let all = self.recipe.phonons.configurations.max(1);
         let image = self.inner.mean_of(&pixels, all, progress)?.mapv(|v| v as f32);
-        // Of a specimen that no dose changes, nobody asks, nor of an imager that finds out itself.
+        // The digest is not needed for a specimen that no dose changes, nor for an imager with cached blocks.
         let contents = match contents {
             Some(contents) => contents,
             None if shown.is_some() || self.specimen.is_lasting() => 0,
@@ -169,7 +169,7 @@ impl BlockImager {
         Ok(image)
     }
 
-    /// Keeps a block; the eighth that was used longest ago makes room.
+    /// Puts a block into the cache. A full cache first drops the eighth of its blocks that was not used for the longest time.
     fn keep(&self, block: [usize; 2], made: Block) {
         let mut kept = self.kept();
         if kept.blocks.len() >= self.most {

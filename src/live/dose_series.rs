@@ -1,4 +1,4 @@
-//! One place, recorded again and again.
+//! A series of recordings of one place.
 
 use ndarray::{Array2, Array3, Axis};
 
@@ -11,30 +11,30 @@ use crate::recipe::Region;
 use crate::setting::Setting;
 use crate::world::{FieldRecording, RecordedPart};
 
-/// Recordings that a series may have.
+/// Largest number of recordings in a series.
 const MOST_RECORDINGS: usize = 100_000;
 
 /// Recordings of one place, one after the other.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct DoseSeries {
-    /// The first, with the truth of that time.
+    /// The first recording, with the truth of that time.
     pub first: FieldRecording,
-    /// What the file of a microscope would hold: (recording, row, column).
+    /// Recorded values, as in the file of a microscope: (recording, row, column).
     pub data: Array3<f64>,
-    /// The noise-free image at the pixels that were meant, when each recording began: (recording, row, column), as fraction of the beam.
+    /// The noise-free image at the intended pixels at the start of each recording: (recording, row, column), as fraction of the beam.
     pub ideal: Array3<f32>,
-    /// Vacant sites of each column of the first recording when each recording began: (recording, column).
+    /// Vacant sites of each column of the first recording at the start of each recording: (recording, column).
     pub vacancies: Array2<i32>,
-    /// Mean dose in electrons per square Angstrom that the place had had when each recording began.
+    /// Mean dose of the place in electrons per square Angstrom before each recording.
     pub dose_before: Vec<f64>,
-    /// Pixels that the converter cut off, in all recordings.
+    /// Number of pixels that the converter clipped, in all recordings.
     pub clipped: u64,
-    /// What was done, and lost.
+    /// The recordings, with the atoms that each removed.
     pub history: Vec<LiveAcquisition>,
 }
 
-/// Whether a series may have so many recordings.
+/// Checks that a series may have this number of recordings.
 ///
 /// # Errors
 /// [`Error::Invalid`] for none, or more than 100 000.
@@ -46,10 +46,10 @@ pub fn check_recordings(count: usize) -> Result<()> {
 }
 
 impl LiveWorld {
-    /// Records one place `count` times. Frames are added.
+    /// Records one place `count` times. The frames of each recording are summed.
     ///
     /// # Errors
-    /// As [`LiveWorld::acquire`] and [`check_recordings`]; [`Error::Memory`].
+    /// Errors of [`LiveWorld::acquire`] and [`check_recordings`]; [`Error::Memory`].
     pub fn dose_series(
         &mut self,
         request: &LiveRequest,
@@ -81,7 +81,7 @@ impl LiveWorld {
 }
 
 impl DoseSeries {
-    /// Room for `count` recordings like the first.
+    /// Allocates arrays for `count` recordings like the first.
     fn of(first: &FieldRecording, count: usize) -> Result<Self> {
         let [rows, columns] = first.frame.shape;
         let bytes = (count * (rows * columns * 12 + first.columns.len() * 4)) as u64;
@@ -101,7 +101,7 @@ impl DoseSeries {
         self.data.index_axis_mut(Axis(0), number).assign(&one.data.index_axis(Axis(0), 0));
         self.clipped += one.clipped;
         self.ideal.index_axis_mut(Axis(0), number).assign(&one.ideal);
-        // A specimen that has lost atoms has the columns that it had, in the same order.
+        // Losing atoms changes neither the columns of a specimen nor their order.
         let mut vacancies = self.vacancies.row_mut(number);
         for (to, column) in vacancies.iter_mut().zip(&one.columns) {
             *to = column.vacancies as i32;

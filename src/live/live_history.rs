@@ -1,4 +1,4 @@
-//! What has been done to a live world.
+//! The history of a live world.
 
 use std::collections::BTreeMap;
 
@@ -11,32 +11,32 @@ use crate::structure::elements;
 /// One recording of a live world. Places are (x, y) in nm from the centre of the first built pixel of the field.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LiveAcquisition {
-    /// Its number, from 0 on.
+    /// Number of the recording, from 0.
     pub number: usize,
-    /// Time on the beam when it began, in s.
+    /// Time on the beam at its start, in s.
     pub begun_s: f64,
-    /// How long it took, in s.
+    /// Duration in s.
     pub duration_s: f64,
-    /// The middle of the part.
+    /// Centre (x, y) of the recorded part.
     pub centre_nm: [f64; 2],
-    /// Width and height of the part.
+    /// Width and height of the recorded part.
     pub size_nm: [f64; 2],
     /// Rows and columns.
     pub shape: [usize; 2],
-    /// Electrons per square Angstrom, all frames together.
+    /// Electrons per square Angstrom of all frames together.
     pub dose: f64,
     /// Current of the beam in pA.
     pub current_pa: f64,
-    /// Electrons on the specimen, all frames together.
+    /// Electrons on the specimen in all frames together.
     pub electrons: f64,
-    /// Mean thickness in nm of the carbon on the part when it began.
+    /// Mean thickness in nm of the carbon on the part at the start.
     #[serde(default)]
     pub carbon_nm: f64,
-    /// Atoms that the specimen has lost, by element.
+    /// Number of atoms that the specimen has lost, by element.
     pub lost: BTreeMap<String, u64>,
 }
 
-/// A live world at one moment. It holds what has been done, not the specimen, which follows from the recipe.
+/// A live world at one moment. It contains the recordings and doses, not the specimen, which follows from the recipe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LiveSnapshot {
@@ -44,27 +44,27 @@ pub struct LiveSnapshot {
     pub version: u32,
     /// The recipe, with the seed, as TOML.
     pub recipe: String,
-    /// The dose that the world was made for, in electrons per square Angstrom.
+    /// The dose for which the world was made, in electrons per square Angstrom.
     pub most_dose: f64,
-    /// The doses of all places.
+    /// The doses at all places.
     pub dose: DoseMap,
-    /// Thickness in Angstrom of the carbon on all places, in the place of doses; none in snapshots of before there was any.
+    /// Thickness in Angstrom of the carbon at all places, stored like doses. It is empty in snapshots from before carbon was simulated.
     #[serde(default)]
     pub carbon_angstrom: DoseMap,
     /// All recordings.
     pub history: Vec<LiveAcquisition>,
-    /// SHA-256 of all that; empty in snapshots of version 1.
+    /// SHA-256 of all other fields; empty in snapshots of version 1.
     #[serde(default)]
     pub digest: String,
 }
 
-/// Recordings that a live world may have; each takes seconds on a microscope.
+/// Largest number of recordings of a live world; each takes seconds on a microscope.
 const MOST_RECORDINGS: usize = 1_000_000;
-/// Pixels along an edge of a recording.
+/// Largest number of pixels along an edge of a recording.
 const LONGEST_EDGE_PX: usize = 1 << 16;
 
 impl LiveSnapshot {
-    /// The snapshot with the digest of what it holds.
+    /// Adds the digest to the snapshot.
     #[must_use]
     pub(super) fn sealed(mut self) -> Self {
         self.digest = self.computed_digest();
@@ -78,7 +78,7 @@ impl LiveSnapshot {
         Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// What is wrong with a snapshot that may have been damaged or made by hand.
+    /// The fault of a snapshot that may have been damaged or edited, in words.
     pub(super) fn fault(&self) -> Option<String> {
         if self.version > 1 && self.digest != self.computed_digest() {
             return Some("it is damaged: it is not what its digest says".into());
@@ -106,11 +106,11 @@ impl LiveSnapshot {
     }
 }
 
-/// Times that are the same but for rounding, as a share.
+/// Times that differ by less than this share are equal except for rounding.
 const SAME_TIME: f64 = 1e-9;
 
 impl LiveAcquisition {
-    /// What cannot be of recording `number`, which begins when the one before it has ended.
+    /// The value that is impossible in recording `number`, which begins after the end of the one before it, in words.
     fn fault(&self, number: usize, ended_s: f64) -> Option<String> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
         let checks = [

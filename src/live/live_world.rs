@@ -24,23 +24,23 @@ use crate::world::{
     scan_of, tile_of_image,
 };
 
-/// The greatest dose that a live world is made for unless another is asked for, in electrons per square Angstrom.
+/// Default largest dose of a live world, in electrons per square Angstrom.
 pub const MOST_DOSE: f64 = 1e6;
-/// Doses that differ by less than this share are the same.
+/// Doses that differ by less than this share are equal.
 const ROUNDING: f64 = 1e-9;
-/// How many times the greatest mean dose a single place may have.
+/// Largest dose of a single place, in units of the largest mean dose.
 const UNEVEN: f64 = 2.0;
-/// Version of snapshots. Those of version 1 have no digest.
+/// Version of snapshots. Snapshots of version 1 have no digest.
 const SNAPSHOT_VERSION: u32 = 2;
 
-/// How a live world is made.
+/// Options of a live world.
 #[derive(Debug, Clone)]
 pub struct LiveOptions {
-    /// How images are made, as for worlds on disk.
+    /// Options of imaging, as for worlds on disk.
     pub imaging: BuildOptions,
-    /// The greatest dose of any part, in electrons per square Angstrom: the library of a mosaic shows what is left after it.
+    /// The largest dose of any part, in electrons per square Angstrom. It decides how many vacancies the library of a mosaic shows.
     pub most_dose: f64,
-    /// Bytes for images that are kept.
+    /// Size of the image cache in bytes.
     pub image_bytes: usize,
 }
 
@@ -51,20 +51,20 @@ impl Default for LiveOptions {
     }
 }
 
-/// What is to be recorded, and how.
+/// A recording to be made: part, dose, scan and detector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LiveRequest {
-    /// Where, and with which pixel.
+    /// The part of the field, and its pixel.
     pub part: RecordedPart,
     /// The dose.
     pub electrons: Electrons,
     /// The scan and the detector.
     pub acquisition: Acquisition,
-    /// Keep the frames one by one; they are added otherwise.
+    /// Keep the frames separately; otherwise they are summed.
     pub keep_frames: bool,
 }
 
-/// What is in a region. Places are (x, y) in nm from the centre of the first built pixel of the field.
+/// The truth of a region. Places are (x, y) in nm from the centre of the first built pixel of the field.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct LiveTruth {
@@ -76,11 +76,11 @@ pub struct LiveTruth {
     pub particles: Vec<ParticleTruth>,
 }
 
-/// A world in memory. Recordings change its specimen as the table `[damage]` of the recipe says; the same recipe, seed and
-/// recordings give the same bytes, whatever the number of threads.
+/// A world in memory. Recordings change its specimen by the table `[damage]` of the recipe. The same recipe, seed and recordings give the
+/// same bytes, for any number of threads.
 ///
-/// A recording shows the specimen as it was when the recording began; its electrons count when it has ended. The dose of a
-/// column is that of the pixels above it: tails of the probe are left out.
+/// A recording shows the specimen as it was when the recording began. Its electrons change the specimen when it has ended. The dose of a
+/// column is the dose of the pixels above it: tails of the probe are left out.
 pub struct LiveWorld {
     recipe: CheckedRecipe,
     fine: CheckedRecipe,
@@ -89,14 +89,14 @@ pub struct LiveWorld {
     specimen: Arc<DamagedSpecimen>,
     imager: BlockImager,
     most_dose: f64,
-    /// Thickness of the carbon in Angstrom, where a dose has made any.
+    /// Thickness of the carbon in Angstrom at all exposed places.
     carbon: DoseMap,
-    /// Made when carbon grows for the first time.
+    /// The film of carbon, made when carbon grows for the first time.
     carbon_film: Option<GrownCarbon>,
     history: Vec<LiveAcquisition>,
 }
 
-/// A world whose library is not filled yet.
+/// A world whose library is not yet filled.
 struct Unprepared {
     recipe: CheckedRecipe,
     fine: CheckedRecipe,
@@ -119,7 +119,7 @@ impl Unprepared {
         let seen: Arc<dyn Specimen> = Arc::clone(&damaged) as Arc<dyn Specimen>;
         let mut imaging = options.imaging.policy(&fine)?.imaging;
         if imaging.method == MethodChoice::Auto {
-            // A library serves the specimen again and again while it changes.
+            // A library pays off, since it serves the changing specimen many times.
             imaging.method = MethodChoice::Mosaic;
         }
         let imager = imaging.imager(&fine, &seen)?;
@@ -128,10 +128,10 @@ impl Unprepared {
 }
 
 impl LiveWorld {
-    /// What filling the library takes, and the image of a part. Nothing is simulated.
+    /// The cost of filling the library, and of the image of a part. Nothing is simulated.
     ///
     /// # Errors
-    /// As [`LiveWorld::new`], and those of the plan.
+    /// Errors of [`LiveWorld::new`] and of the plan.
     pub fn plan(
         recipe: &CheckedRecipe,
         seed: u64,
@@ -146,7 +146,7 @@ impl LiveWorld {
     /// simulations, which take minutes.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a greatest dose out of limits; those of the specimen and the engine; [`Error::Interrupted`].
+    /// [`Error::Invalid`] for a largest dose out of limits; errors of the specimen and the engine; [`Error::Interrupted`].
     pub fn new(
         recipe: &CheckedRecipe,
         seed: u64,
@@ -176,12 +176,12 @@ impl LiveWorld {
         &self.recipe
     }
 
-    /// The specimen as it is now.
+    /// The current specimen.
     pub fn specimen(&self) -> &DamagedSpecimen {
         &self.specimen
     }
 
-    /// Makes images of the specimen as it is now, without the carbon that has grown on it, at pixels of [`LiveWorld::imaged_recipe`]; for audits.
+    /// The imager of the current specimen without the carbon on it, at pixels of [`LiveWorld::imaged_recipe`]; for audits.
     pub fn imager(&self) -> &dyn RegionImager {
         &self.imager
     }
@@ -196,15 +196,15 @@ impl LiveWorld {
         &self.history
     }
 
-    /// Number of blocks of the image that are kept.
+    /// Number of cached blocks of the image.
     pub fn kept_blocks(&self) -> usize {
         self.imager.block_count()
     }
 
-    /// The noise-free image of some pixels of the field and what is there, without an electron spent.
+    /// The noise-free image of some pixels of the field, and its truth, without exposure.
     ///
     /// # Errors
-    /// As [`crate::world::field_tile`].
+    /// Errors of [`crate::world::field_tile`].
     pub fn look(&self, pixels: &PixelRect) -> Result<FieldTile> {
         let finer = |p: [usize; 2]| p.map(|n| n.saturating_mul(self.parts));
         let full = self.recipe.field.pixels(self.recipe.field.grid);
@@ -220,13 +220,13 @@ impl LiveWorld {
                 let image = imager.mean_of(&fine.every(self.parts), all, &Silent)?;
                 self.with_carbon(pixels, image.mapv(|v| v as f32))?
             }
-            // refused there
+            // `tile_of_image` refuses these pixels.
             false => Array2::zeros([0, 0]),
         };
         tile_of_image(&self.recipe, &*self.specimen, pixels, clean, None)
     }
 
-    /// An image of some pixels with the carbon that is there.
+    /// Adds the grown carbon to an image of some pixels.
     fn with_carbon(&self, pixels: &PixelRect, mut image: Array2<f32>) -> Result<Array2<f32>> {
         let Some(film) = &self.carbon_film else { return Ok(image) };
         let pixel = self.recipe.field.pixel_nm();
@@ -240,7 +240,7 @@ impl LiveWorld {
         Ok(image)
     }
 
-    /// The film of which the carbon is, if there is some or an electron adds to it.
+    /// Makes the film that the carbon grows from, if there is carbon or electrons add some.
     fn make_carbon_film(&mut self, per_electron: f64) -> Result<()> {
         if self.carbon_film.is_none() && (per_electron > 0.0 || self.carbon.greatest() > 0.0) {
             self.carbon_film =
@@ -254,7 +254,7 @@ impl LiveWorld {
         0.1 * self.carbon.mean(&self.in_full_field(region))
     }
 
-    /// What is in a region (nm from the centre of the first built pixel of the field) now.
+    /// The current truth of a region (nm from the centre of the first built pixel of the field).
     pub fn truth(&self, region: &Region) -> LiveTruth {
         let [x, y] = self.recipe.field.origin_nm();
         let region = region.moved([x, y]);
@@ -268,13 +268,13 @@ impl LiveWorld {
         LiveTruth { sites, columns, particles: particles.into_iter().map(particle).collect() }
     }
 
-    /// The mean dose of a region (nm from the centre of the first built pixel), in electrons per square Angstrom. Electrons are
-    /// kept in cells of 0.05 nm: the outermost ones of what was exposed reach beyond it.
+    /// The mean dose of a region (nm from the centre of the first built pixel), in electrons per square Angstrom. Electrons are counted in
+    /// cells of 0.05 nm, so the outermost cells of an exposed area reach beyond it.
     pub fn mean_dose(&self, region: &Region) -> f64 {
         self.specimen.dose().mean(&self.in_full_field(region))
     }
 
-    /// The mean dose of a region that was exposed as a whole: without its outermost cells.
+    /// The mean dose of a region that was exposed as a whole, without its outermost cells.
     pub(super) fn mean_dose_within(&self, region: &Region) -> f64 {
         self.specimen.dose().mean_within(&self.in_full_field(region))
     }
@@ -283,10 +283,11 @@ impl LiveWorld {
         region.moved(self.recipe.field.origin_nm())
     }
 
-    /// Records a part of the field. The specimen is then what the electrons have left of it.
+    /// Records a part of the field. Afterwards the specimen has the damage of the electrons.
     ///
     /// # Errors
-    /// As [`record`](crate::world::record); [`Error::Invalid`] for a dose beyond what the world was made for. The world is then as it was.
+    /// Errors of [`record`](crate::world::record); [`Error::Invalid`] for a dose above the world's largest. After an error the world is
+    /// unchanged.
     pub fn acquire(
         &mut self,
         request: &LiveRequest,
@@ -341,8 +342,8 @@ impl LiveWorld {
         u64::from(high) << 32 | u64::from(low)
     }
 
-    /// Jitter and drift spread a dose unevenly, so single places may have more than the mean. Beyond what the library shows, columns
-    /// are simulated where they lie.
+    /// Jitter and drift distribute a dose unevenly, so single places may have more than the mean. Columns with a dose above the library's
+    /// are simulated at their place.
     fn check_dose(&self, part: &RecordedPart, dose: f64, spent: &DoseMap) -> Result<()> {
         if self.specimen.is_lasting() {
             return Ok(());
@@ -362,13 +363,13 @@ impl LiveWorld {
         Err(Error::invalid(Setting::Dose, format!("{value:.4}"), expected))
     }
 
-    /// Numbers of atoms in a region (nm of the full field), by element; none of a specimen that no dose changes.
+    /// Number of atoms in a region (nm of the full field), by element; empty for a specimen that no dose changes.
     fn atoms(&self, area: &Region) -> BTreeMap<u8, u64> {
         let mut atoms = BTreeMap::new();
         if self.specimen.is_lasting() {
             return atoms;
         }
-        // The dose of a unit is that of its centre.
+        // The dose of a unit is the dose at its centre.
         for site in self.specimen.query(&area.grown(0.3)).sites {
             if site.kind != SiteKind::Vacancy {
                 *atoms.entry(site.number).or_default() += 1;
@@ -377,7 +378,7 @@ impl LiveWorld {
         atoms
     }
 
-    /// What has been done so far.
+    /// The current state of the world.
     pub fn snapshot(&self) -> LiveSnapshot {
         LiveSnapshot {
             version: SNAPSHOT_VERSION,
@@ -391,10 +392,10 @@ impl LiveWorld {
         .sealed()
     }
 
-    /// Goes back (or on) to a moment of a world of the same recipe and seed.
+    /// Returns to an earlier (or later) state of a world of the same recipe and seed.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a snapshot of another world, or one that is damaged.
+    /// [`Error::Invalid`] for a snapshot of another world, or a damaged one.
     pub fn restore(&mut self, snapshot: &LiveSnapshot) -> Result<()> {
         let refuse = |value: &str, expected: &str| {
             Err(Error::invalid(Setting::Snapshot, value.to_owned(), expected))
@@ -432,7 +433,7 @@ impl LiveWorld {
     }
 }
 
-/// The recipe with another seed.
+/// Replaces the seed of a recipe, and all detectors by the main one.
 fn own_recipe(recipe: &CheckedRecipe, seed: u64) -> Result<CheckedRecipe> {
     let mut own: Recipe = recipe.recipe().clone();
     own.seed = seed;
@@ -441,7 +442,7 @@ fn own_recipe(recipe: &CheckedRecipe, seed: u64) -> Result<CheckedRecipe> {
     own.checked()
 }
 
-/// Adds the electrons of a scan, line by line; returns the area (nm of the full field) that they lie in.
+/// Adds the electrons of a scan to a dose map, line by line. Returns the exposed area (nm of the full field).
 fn expose(
     dose: &mut DoseMap,
     path: &crate::acquisition::ScanPath,
@@ -457,7 +458,7 @@ fn expose(
     Region { x: area[0], y: area[1] }
 }
 
-/// How many atoms of each element are there no more.
+/// Number of lost atoms of each element.
 fn lost(before: &BTreeMap<u8, u64>, after: &BTreeMap<u8, u64>) -> BTreeMap<String, u64> {
     let gone = |(number, count): (&u8, &u64)| {
         let left = after.get(number).copied().unwrap_or_default();

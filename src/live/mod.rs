@@ -1,7 +1,7 @@
-//! Live worlds: a specimen in memory that is looked at, recorded, and changed by the electrons that record it.
+//! Live worlds: a specimen in memory that can be viewed and recorded, and that the electrons of recordings change.
 //!
-//! recipe -> specimen -> images of blocks, made when first looked at -> recordings. Nothing is on disk but the library of a
-//! mosaic, in the cache of the user.
+//! recipe -> specimen -> images of blocks, made when first needed -> recordings. Only the library of a mosaic is on disk, in the user's
+//! cache.
 
 mod block_imager;
 mod dose_series;

@@ -9,7 +9,7 @@ use crate::error::Result;
 use crate::io::recording_file::{RecordingFile, SeriesPart, write_recording};
 
 impl DoseSeries {
-    /// Writes a file with the recordings and all that is known of them; its schema is that of [`crate::io::recording_file`].
+    /// Writes a file with the recordings and their truth. Its schema is described in [`crate::io::recording_file`].
     ///
     /// # Errors
     /// [`crate::Error::Io`], [`crate::Error::Hdf5`].
@@ -40,7 +40,7 @@ impl DoseSeries {
         })
     }
 
-    /// Atoms that each recording took away, by element.
+    /// Number of atoms that each recording removed, by element.
     fn lost(&self) -> BTreeMap<String, Vec<u64>> {
         let mut lost = BTreeMap::new();
         for (number, one) in self.history.iter().enumerate() {

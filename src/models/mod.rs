@@ -1,4 +1,4 @@
-//! Models: atoms that the program makes itself.
+//! Models: atoms that the program generates.
 //!
 //! [`carbon`] grows amorphous films by molecular dynamics; [`particles`] builds clusters of metals by Wulff's construction, as
 //! decahedra and as icosahedra.

@@ -1,9 +1,9 @@
 //! Focal spread: the average of images over a Gaussian distribution of the focus, by Gauss-Hermite quadrature.
 //!
 //! The amplitude behind the specimen is linear in the amplitudes of the aperture, `A(k) exp(-i chi(k))`. A change of focus by d turns them
-//! by `pi lambda k^2 d`, so an intensity is a sum of terms `exp(i w d)` with `|w| <= pi semiangle^2 / lambda`. The exact
-//! mean of such a term is `exp(-w^2 sigma^2 / 2)`; the quadrature's error of it is known beforehand, and the number of points is the
-//! least with an error below [`ALLOWED`] for every w.
+//! by `pi lambda k^2 d`, so an intensity is a sum of terms `exp(i w d)` with `|w| <= pi semiangle^2 / lambda`. The exact mean of such a
+//! term is `exp(-w^2 sigma^2 / 2)`, so the quadrature's error is known beforehand. The number of points is the smallest with an error below
+//! [`ALLOWED`] for every w.
 
 use std::f64::consts::PI;
 
@@ -11,23 +11,24 @@ use super::Optics;
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Largest error of any term, as a share of its amplitude. Images have less: terms of the whole aperture's width are few.
+/// Largest error of any term, as a share of its amplitude. The error of images is smaller, because few terms have the width of the whole
+/// aperture.
 const ALLOWED: f64 = 1e-3;
 /// Most points of the quadrature.
 const MOST_POINTS: usize = 15;
-/// Frequencies at which the error is looked at.
+/// Number of frequencies at which the error is computed.
 const FREQUENCIES: usize = 200;
 
-/// A focus that images are averaged over.
+/// A focus over which images are averaged.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Focus {
-    /// What is added to the defocus, in Angstrom.
+    /// Added to the defocus, in Angstrom.
     pub offset_angstrom: f64,
-    /// Its weight; all weights sum to 1.
+    /// Weight of the focus; all weights sum to 1.
     pub weight: f64,
 }
 
-/// The foci of some optics: one without focal spread.
+/// The foci for some optics. Without focal spread there is one.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a spread that is negative, or so large that more than 15 points would be needed.
@@ -50,7 +51,7 @@ pub fn foci(optics: &Optics) -> Result<Vec<Focus>> {
     }
 }
 
-/// The largest spread in Angstrom that the quadrature carries.
+/// The largest spread in Angstrom that the quadrature can average.
 fn largest(optics: &Optics) -> f64 {
     // the error is a function of sigma times the highest frequency
     let (mut low, mut high) = (0.0, 10.0 / highest(optics));
@@ -75,7 +76,7 @@ fn error(optics: &Optics, sigma: f64, points: usize) -> f64 {
         let sum: f64 = rule.iter().map(|f| f.weight * libm::cos(w * f.offset_angstrom)).sum();
         (sum - libm::exp(-0.5 * (w * sigma).powi(2))).abs()
     };
-    // What is beyond the range of numbers is as wrong as can be: a maximum would pass over it.
+    // NaN counts as an infinite error: a maximum would ignore it.
     let worse = |most: f64, off: f64| if off.is_nan() { f64::INFINITY } else { most.max(off) };
     (1..=FREQUENCIES).map(off).fold(0.0, worse)
 }
@@ -95,7 +96,7 @@ fn rule(points: usize, sigma: f64) -> Vec<Focus> {
     foci
 }
 
-/// The roots of the n-th Hermite polynomial, ascending: between those of the polynomial before it, by bisection.
+/// The roots of the n-th Hermite polynomial, ascending, by bisection between the roots of the polynomial before it.
 fn roots(n: usize) -> Vec<f64> {
     let mut roots: Vec<f64> = Vec::new();
     for degree in 1..=n {
@@ -109,7 +110,7 @@ fn roots(n: usize) -> Vec<f64> {
     roots
 }
 
-/// The root of a Hermite polynomial between two edges.
+/// The root of a Hermite polynomial between two edges, by bisection.
 fn bisected(degree: usize, edges: &[f64]) -> f64 {
     let (mut low, mut high) = (edges[0], edges[1]);
     let sign = hermite(degree, high)[0].signum();

@@ -79,10 +79,10 @@ impl Aberration {
         })
     }
 
-    /// Checks that there is such a coefficient, with finite values.
+    /// Checks that the coefficient exists, with finite values.
     ///
     /// # Errors
-    /// As [`Aberration::parse`].
+    /// Errors of [`Aberration::parse`].
     pub fn validate(&self) -> Result<()> {
         let Aberration { order, symmetry, magnitude_angstrom, azimuth_rad } = *self;
         Self::parse(&format!("C{order}{symmetry}={magnitude_angstrom}@{azimuth_rad}")).map(drop)
@@ -90,7 +90,7 @@ impl Aberration {
 }
 
 impl Aberrations {
-    /// A defocus (positive: underfocus) in Angstrom, and nothing else.
+    /// A defocus (positive: underfocus) in Angstrom, without other aberrations.
     pub fn defocus(defocus_angstrom: f64) -> Self {
         let mut a = Aberrations::default();
         a.add_defocus(defocus_angstrom);
@@ -149,7 +149,7 @@ pub enum ApertureEdge {
 /// Largest mistilt along x and y in mrad: beyond, the columns of a crystal lie side by side.
 pub const MOST_MISTILT_MRAD: f64 = 20.0;
 
-/// Beam energy, aperture and aberrations, and what spreads or tilts the beam.
+/// Beam energy, aperture and aberrations, mistilt and focal spread.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Optics {
     /// Beam energy in eV.
@@ -229,12 +229,12 @@ impl Optics {
         Err(Error::invalid(Setting::MistiltMrad, format!("{x},{y}"), expected))
     }
 
-    /// How far (x, y) the beam moves in Angstrom on its way down by one Angstrom.
+    /// Displacement (x, y) of the beam in Angstrom for each Angstrom of depth.
     pub fn slope(&self) -> [f64; 2] {
         self.mistilt_mrad.map(|t| libm::tan(t * 1e-3))
     }
 
-    /// Whether images stay the same when specimen and scan are turned about the beam.
+    /// Whether images are unchanged when specimen and scan are turned about the beam.
     pub fn is_round(&self) -> bool {
         let round = |a: &Aberration| a.symmetry == 0 || a.magnitude_angstrom == 0.0;
         self.mistilt_mrad == [0.0; 2] && self.aberrations.0.iter().all(round)
@@ -261,14 +261,14 @@ impl Optics {
         }
     }
 
-    /// The phase of each aberration is bounded where the aperture ends.
+    /// Refuses an aberration whose phase at the edge of the aperture is too large.
     fn validate_aberration(&self, aberration: &Aberration) -> Result<()> {
         let Aberration { order, symmetry, magnitude_angstrom, azimuth_rad } = *aberration;
         let power = i32::from(order) + 1;
         let angle = self.semiangle_mrad * 1e-3;
         let most = MOST_PHASE_RAD * f64::from(power) * self.wavelength_angstrom()
             / (2.0 * PI * angle.powi(power));
-        // (not "> most", so that no NaN passes)
+        // The comparison is not `> most`, so that NaN is refused too.
         let small = magnitude_angstrom.abs() <= most;
         if small && azimuth_rad.abs() <= MOST_AZIMUTH_RAD {
             return Ok(());

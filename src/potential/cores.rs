@@ -6,12 +6,10 @@
 //!
 //! `T(k) = F[exp(i v_s)](k) + sum_a u_a D_a(k) exp(-2 pi i k.r_a)`,
 //! `D(k) = 2 pi int [exp(i v(r)) - exp(i v_s(r))] J0(2 pi k r) r dr`,
-//!
-//! with `v = sigma V` of one atom, `v_s` the same smoothed, and `u_a = exp(i sum v_s)` of the other atoms at r_a. The
-//! approximation is that the potentials of other atoms are constant across a core, which is some 0.1 A wide. Against
-//! grids of 0.005 A the amplitudes beyond 68 mrad are right to 0.1 % rms for atoms 1.4 A or more apart in projection.
-//! The error is 0.2 % (2.4 %) for two Pt atoms 0.8 A (0.3 A) apart in one slice, and 0.2 % (0.8 %) for two C atoms 0.5 A
-//! (0.2 A) apart. [`Cores::suits`] refuses atoms that are closer.
+//! with `v = sigma V` of one atom, `v_s` the smoothed `v`, and `u_a = exp(i sum v_s)` of the other atoms at r_a. The approximation is that
+//! the potentials of other atoms are constant across a core, which is some 0.1 A wide. Compared with grids of 0.005 A, the error of the
+//! amplitudes beyond 68 mrad is 0.1 % rms for atoms 1.4 A or more apart in projection. The error is 0.2 % (2.4 %) for two Pt atoms 0.8 A
+//! (0.3 A) apart in one slice, and 0.2 % (0.8 %) for two C atoms 0.5 A (0.2 A) apart. [`Cores::suits`] refuses atoms that are closer.
 
 use super::bessel::J0;
 use super::projected::{PlacedAtom, push_powers};
@@ -33,7 +31,7 @@ const TABLE_STEP_ANGSTROM: f64 = 0.02;
 const TRANSFORM_POINTS: usize = 1200;
 /// Atoms nearer than this in projection, in Angstrom, must be light.
 const CLOSE_ANGSTROM: f64 = 0.5;
-/// Up to this product of the phases of two close atoms the method is right to 1 % at any distance.
+/// Up to this product of the phases of two close atoms the method's error is at most 1 % at any distance.
 const CLOSE_STRENGTH: f64 = 0.1;
 
 /// The cores of atoms in a periodic cell, at frequencies `-reach..=reach`.
@@ -64,7 +62,7 @@ impl Cores {
     /// parameter in rad/(V Angstrom).
     ///
     /// # Errors
-    /// An element that the table lacks.
+    /// [`crate::Error::UnknownElement`] for an element that the table lacks.
     pub fn new(
         parametrization: Parametrization,
         elements: &[u8],
@@ -230,7 +228,7 @@ impl Core {
 
 /// The smoothed phase of one atom: `2 pi int unit f(q) exp(-q^2 / 2 cutoff^2) J0(2 pi q r) q dq`.
 struct Smooth {
-    /// (2 pi q, the rest of the integrand with Simpson's weights)
+    /// 2 pi q, and the other factors of the integrand with Simpson's weights.
     nodes: Vec<(f64, f64)>,
     j0: J0,
 }
@@ -284,8 +282,8 @@ pub fn amplitudes(factor: &ScatteringFactor, sigma: f64, ks: &[f64]) -> Vec<Comp
     ks.iter().map(at).collect()
 }
 
-/// Radii and weights of an integral over r: logarithmic near the nucleus, where the phase goes like
-/// log r, then uniform out to where smoothing no longer matters.
+/// Radii and weights of an integral over r: logarithmic near the nucleus, where the phase goes like log r, then uniform out to the radius
+/// where smoothing has no effect.
 fn radial_points(cutoff: f64) -> Vec<(f64, f64)> {
     let (inner, middle, outer) = (1e-7_f64, 0.3 / cutoff, 12.0 / cutoff);
     let mut points = Vec::new();
@@ -351,7 +349,7 @@ mod tests {
         assert!((ours / born - 1.0).abs() < 1e-3, "{ours} {born}");
     }
 
-    /// At k = 0 and small phases D is the integral of what smoothing took away, which is nothing.
+    /// At k = 0 and small phases D is the integral of the potential that smoothing removes, which is zero.
     #[test]
     fn smoothing_takes_no_volume_from_weak_atoms() {
         let factor = ScatteringFactor::new(Parametrization::Lobato, 6).unwrap();

@@ -1,4 +1,4 @@
-//! From atoms to projected potentials: scattering factors, slices, structure factors.
+//! Projected potentials of atoms: scattering factors, slices, structure factors.
 
 mod bessel;
 pub mod cores;

@@ -33,7 +33,7 @@ const FINITE_REACH_ANGSTROM: f64 = 8.0;
 /// Points of the radial table of one atom's part in one slice.
 const RADIAL_POINTS: usize = 4096;
 
-/// An atom at its place in one phonon configuration.
+/// An atom at its position in one phonon configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlacedAtom {
     /// Position in Angstrom.
@@ -42,17 +42,17 @@ pub struct PlacedAtom {
     pub number: u8,
 }
 
-/// How the potentials of atoms are filtered in Fourier space (infinite projection only).
+/// The filter for the potentials of atoms in Fourier space (infinite projection only).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PotentialFilter {
-    /// Not at all.
+    /// No filter.
     AsIs,
     /// Multiplied by `exp(-q^2 / 2 cutoff^2)` in Fourier space.
     Smoothed {
         /// 1/Angstrom
         cutoff: f64,
     },
-    /// See [`crate::engine::Settings::abtem_placement`].
+    /// The placement of [`crate::engine::Settings::abtem_placement`].
     AbtemPlacement,
 }
 
@@ -60,7 +60,7 @@ pub enum PotentialFilter {
 pub struct Projector {
     fft: Fft2,
     extent: [f64; 2],
-    /// Whether atoms are spread over grid points (see [`PotentialFilter::AbtemPlacement`]).
+    /// Whether atoms are spread over grid points ([`PotentialFilter::AbtemPlacement`]).
     spread: bool,
     species: Vec<Species>,
 }
@@ -80,10 +80,10 @@ pub struct ProjectorScratch {
 }
 
 impl Projector {
-    /// For a grid of `ny` rows and `nx` columns over a cell of `extent` (x, y) Angstrom, and the given elements.
+    /// Prepares a grid of `ny` rows and `nx` columns over a cell of `extent` (x, y) Angstrom, and the given elements.
     ///
     /// # Errors
-    /// An element that the table lacks.
+    /// [`crate::Error::UnknownElement`] for an element that the table lacks.
     pub fn new(
         (ny, nx): (usize, usize),
         extent: [f64; 2],
@@ -141,8 +141,8 @@ impl Projector {
         self.fft.inverse_real(out, &mut scratch.fft);
     }
 
-    /// The projected potential of slice `index` with finite projection; `atoms` are those of the whole specimen. The
-    /// array is as with [`Projector::infinite`].
+    /// The projected potential of slice `index` with finite projection; `atoms` holds the atoms of the whole specimen. `out` has the layout
+    /// of [`Projector::infinite`].
     pub fn finite(
         &self,
         atoms: &[PlacedAtom],
@@ -276,7 +276,7 @@ fn push_cosines_and_sines(u: f64, n: usize, count: usize, out: &mut Vec<f32>) {
     }
 }
 
-/// As [`push_cosines_and_sines`], of an atom spread linearly over the two grid points around it.
+/// As [`push_cosines_and_sines`], for an atom that is spread linearly over the two grid points around it.
 fn push_spread(u: f64, n: usize, count: usize, out: &mut Vec<f32>) {
     let start = out.len();
     let below = (u * n as f64).floor();

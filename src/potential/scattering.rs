@@ -46,7 +46,7 @@ impl ScatteringFactor {
     /// The factor of element `number`.
     ///
     /// # Errors
-    /// [`Error::UnknownElement`] when the table ends before it.
+    /// [`Error::UnknownElement`] for an element beyond the end of the table.
     pub fn new(parametrization: Parametrization, number: u8) -> Result<Self> {
         let p = table(parametrization)
             .get(number as usize)
@@ -85,7 +85,7 @@ impl ScatteringFactor {
         self.terms.iter().map(term).sum()
     }
 
-    /// [`ScatteringFactor::at`] at each of many places, digit by digit.
+    /// [`ScatteringFactor::at`] at many places, with identical digits.
     pub fn at_each(&self, q2: &[f64]) -> Vec<f64> {
         let mut sums = vec![0.0; q2.len()];
         vectorised(

@@ -1,4 +1,4 @@
-//! Where the specimen is cut into slices.
+//! The cuts between the slices of a specimen.
 
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -23,8 +23,8 @@ pub enum Slicing {
     ThicknessFromFace(f64),
 }
 
-/// Atoms of specimens without planes share a slice, at their mean height, if they lie within so many Angstrom along
-/// the beam. Moving an atom by 1 A turns the phase of its wave by 0.6 rad at 68 mrad and 200 kV. Measured on a tilted Pt
+/// Atoms of specimens without planes share a slice, at their mean height, if they lie within this distance in Angstrom
+/// along the beam. Moving an atom by 1 A turns the phase of its wave by 0.6 rad at 68 mrad and 200 kV. Measured on a tilted Pt
 /// particle of 2.8 nm in one phonon configuration, against 0.05 A: bright pixels are off by 0.68 % rms with 0.5 A, by
 /// 0.43 % with 0.25 A, and by 0.27 % with 0.15 A. With even slices of 1 A, bright columns are off by 1.8 %, against 0.25 A.
 pub const GROUP_ANGSTROM: f64 = 0.5;
@@ -53,20 +53,19 @@ pub struct Slices {
     /// n + 1 positions along the beam in Angstrom; the first is the entrance surface, the last the
     /// exit surface.
     pub boundaries: Vec<f64>,
-    /// n positions where the slices' potentials act, in Angstrom.
+    /// Heights at which the n slices' potentials act, in Angstrom.
     pub planes: Vec<f64>,
 }
 
 impl Slices {
     /// Cuts a cell of height `height` (Angstrom, periodic) whose atoms have mean heights `z`.
     ///
-    /// When atoms lie on a face of the cell, the window of one period that is cut into slices
-    /// starts half a gap before the first plane (at most 1 A), so that no atom crosses a face by
-    /// thermal motion. Below vacuum it starts where it must to give the last atoms room, by at most
-    /// 0.5 A: probes are focused on it.
+    /// When atoms lie on a face of the cell, the window of one period that is cut into slices starts half a gap before the first plane (at
+    /// most 1 A), so that no atom crosses a face by thermal motion. Below vacuum it starts up to 0.5 A deeper than the face, just enough to
+    /// give the last atoms room: probes are focused on it.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a thickness that is not positive or a height that is not.
+    /// [`Error::Invalid`] for a height that is not positive, and for a thickness or span out of range.
     pub fn new(slicing: Slicing, height: f64, z: &[f64]) -> Result<Self> {
         if !(height > 0.0 && height.is_finite()) {
             return Err(Error::invalid(
@@ -157,8 +156,8 @@ impl Slices {
         wrap(mean_z, self.entrance(), self.thickness())
     }
 
-    /// The slice that holds height `z`; beyond the surfaces, the first or last one, so that an atom
-    /// displaced out of the specimen is kept.
+    /// The slice that contains height `z`. Beyond the surfaces it is the first or last one, so that an atom displaced out of the specimen
+    /// is kept.
     pub fn index(&self, z: f64) -> usize {
         let inner = &self.boundaries[1..self.len()];
         inner.partition_point(|b| *b <= z)
@@ -171,8 +170,8 @@ fn wrap(z: f64, start: f64, period: f64) -> f64 {
     start + if r >= period { 0.0 } else { r }
 }
 
-/// Sorted heights in [0, height]. What lies within rounding of a face is on that face, though the cell is periodic: a height of
-/// -1e-12 is no atom of the exit surface. A plane on both faces is on the entrance.
+/// Sorted heights in [0, height]. A height within rounding of a face counts as on that face, although the cell is periodic: an atom at
+/// -1e-12 is not on the exit surface. A plane on both faces is moved to the entrance.
 fn on_faces(z: &[f64], height: f64) -> Vec<f64> {
     let placed = |z: &f64| {
         if z.abs() <= ON_FACE_ANGSTROM {
@@ -198,7 +197,7 @@ fn on_faces(z: &[f64], height: f64) -> Vec<f64> {
     z
 }
 
-/// Vacuum at least so thick above the first atom stays there, in Angstrom.
+/// Vacuum of at least this thickness in Angstrom above the first atom stays there.
 const VACUUM_ANGSTROM: f64 = 2.0;
 
 /// Start of the slab for sorted heights in [0, height).
@@ -222,7 +221,7 @@ fn entrance(z: &[f64], height: f64) -> f64 {
     best.1 + best.0 - (0.5 * best.0).min(1.0)
 }
 
-/// Heights of atomic planes for sorted heights, or `None` when the atoms form none.
+/// Heights of atomic planes for sorted heights, or `None` when the atoms form no planes.
 fn planes(z: &[f64]) -> Option<Vec<f64>> {
     let mut planes = Vec::new();
     let mut start = 0;
@@ -285,7 +284,7 @@ mod tests {
             let s = Slices::new(slicing, 40.0, &z).unwrap();
             let off = |z: &f64| (s.planes[s.index(s.wrap(*z))] - s.wrap(*z)).abs();
             assert!(z.iter().map(off).fold(0.0, f64::max) <= span);
-            // as few as that allows
+            // The number of slices is about the smallest that this allows.
             assert!((s.len() as f64) < 38.0 / span + 1.0, "{}", s.len());
             assert!(s.planes.windows(2).all(|p| p[0] < p[1]));
         }

@@ -1,9 +1,9 @@
-//! What the publisher of a folder of worlds says of it.
+//! Information that the publisher gives about a folder of worlds.
 
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Licences that data hubs know, as SPDX names them and as hubs do.
+/// Licences that data hubs know: the SPDX name, and the hubs' name.
 const KNOWN: [(&str, &str); 19] = [
     ("CC0-1.0", "cc0-1.0"),
     ("CC-BY-3.0", "cc-by-3.0"),
@@ -29,16 +29,16 @@ const KNOWN: [(&str, &str); 19] = [
 /// A licence.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DataLicense {
-    /// Its name by SPDX, or its address.
+    /// SPDX name of the licence, or its address.
     pub name: String,
-    /// Where its text is.
+    /// Address of the licence's text.
     pub url: String,
-    /// The name that data hubs have for it; none of one that they do not know.
+    /// Name of the licence on data hubs; `None` if they do not know it.
     pub hub_name: Option<&'static str>,
 }
 
 impl DataLicense {
-    /// Reads the SPDX name of a licence, in any case, or the address of one.
+    /// Reads the SPDX name of a licence, in any case, or the address of a licence.
     ///
     /// # Errors
     /// [`Error::Invalid`] for another text.
@@ -60,7 +60,7 @@ impl DataLicense {
     }
 }
 
-/// Who made the worlds.
+/// The author of the worlds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum DataCreator {
     /// A person, by name.
@@ -70,7 +70,7 @@ pub enum DataCreator {
 }
 
 impl DataCreator {
-    /// The name.
+    /// Returns the name.
     pub fn name(&self) -> &str {
         match self {
             DataCreator::Person(name) | DataCreator::Organization(name) => name,
@@ -78,29 +78,30 @@ impl DataCreator {
     }
 }
 
-/// What the publisher says of a folder of worlds. What is not said is left out of the card: nobody else can know it.
+/// Information that the publisher gives about a folder of worlds. Information that is not given is left out of the card, since nobody else
+/// has it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CardAbout {
-    /// Its title.
+    /// Title of the folder.
     pub title: String,
-    /// What it is, in a sentence or two, before what the files tell.
+    /// Description in a sentence or two; the information from the files follows it.
     pub description: Option<String>,
-    /// The licence of the data.
+    /// Licence of the data.
     pub license: Option<DataLicense>,
-    /// Who made it.
+    /// Authors of the data.
     pub creators: Vec<DataCreator>,
-    /// The address of its page.
+    /// Address of the data's page.
     pub url: Option<String>,
-    /// The day of its publication, `2026-11-23`.
+    /// Day of publication, `2026-11-23`.
     pub published: Option<String>,
-    /// Its version, `1.0.0`.
+    /// Version of the data, `1.0.0`.
     pub version: String,
-    /// How it is cited.
+    /// Citation of the data.
     pub citation: Option<String>,
 }
 
 impl CardAbout {
-    /// A folder of worlds with a title, version 1.0.0, of which nothing else is said.
+    /// Describes a folder of worlds by its title and version 1.0.0 alone.
     pub fn new(title: &str) -> Self {
         CardAbout {
             title: title.to_owned(),
@@ -114,7 +115,7 @@ impl CardAbout {
         }
     }
 
-    /// Properties that Croissant asks for, or recommends, and that were not said.
+    /// Returns the properties that Croissant requires or recommends, and that were not given.
     pub fn missing(&self) -> Vec<&'static str> {
         let said = [
             ("license", self.license.is_some()),
@@ -126,10 +127,10 @@ impl CardAbout {
         said.into_iter().filter(|(_, there)| !there).map(|(name, _)| name).collect()
     }
 
-    /// Checks what was said.
+    /// Checks the given information.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for an empty or unprintable text, or an address, date or version that is none.
+    /// [`Error::Invalid`] for an empty or unprintable text, or an invalid address, date or version.
     pub fn check(&self) -> Result<()> {
         let fault =
             |value: &str, expected: &str| Err(Error::invalid(Setting::Card, value, expected));
@@ -164,7 +165,7 @@ fn is_address(text: &str) -> bool {
     rest.is_some_and(|rest| rest.len() > 2 && rest.chars().all(plain))
 }
 
-/// Whether a text is a day of the calendar, year first.
+/// Whether a text is a calendar date, year first.
 fn is_date(text: &str) -> bool {
     let digits = |part: &str, n: usize| part.len() == n && part.bytes().all(|b| b.is_ascii_digit());
     let parts: Vec<&str> = text.split('-').collect();

@@ -1,4 +1,4 @@
-//! The card for programs: Croissant 1.1 (JSON-LD) with the fields of the RAI vocabulary 1.0.
+//! Writes the card for programs: Croissant 1.1 (JSON-LD) with the fields of the RAI vocabulary 1.0.
 //!
 //! <https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html>,
 //! <https://docs.mlcommons.org/croissant/docs/croissant-rai-spec.html>.
@@ -10,7 +10,7 @@ use super::card_tables::{CardField, CardTable, WORLD_FIELDS};
 use super::card_words::CardWords;
 use super::card_writer::CardFile;
 
-/// The context that Croissant 1.1 recommends, and the vocabulary of provenance.
+/// The JSON-LD context that Croissant 1.1 recommends, and the vocabulary of provenance.
 const CONTEXT: &str = r#"{
     "@language": "en",
     "@vocab": "https://schema.org/",
@@ -56,7 +56,7 @@ const CONTEXT: &str = r#"{
     "transform": "cr:transform"
 }"#;
 
-/// Words by which the data are found.
+/// Keywords for searches.
 pub(super) const KEYWORDS: [&str; 7] = [
     "electron microscopy",
     "STEM",
@@ -73,7 +73,7 @@ pub(super) struct RecordSource<'a> {
     pub(super) world: &'a str,
 }
 
-/// Writes the card: `files` are all files of the folder but this one and README.md.
+/// Writes the card: `files` are all files of the folder except croissant.json and README.md.
 pub(super) fn croissant(
     about: &CardAbout,
     words: &CardWords,
@@ -107,11 +107,11 @@ pub(super) fn croissant(
     put("distribution", files.iter().map(file_object).collect());
     let sets = tables.iter().map(|t| records_of_world(t));
     put("recordSet", std::iter::once(records_of_worlds()).chain(sets).collect());
-    // Values of strings, numbers and maps of strings can always be written.
+    // Strings, numbers and maps with string keys can always be written.
     serde_json::to_string_pretty(&Value::Object(all)).unwrap_or_default() + "\n"
 }
 
-/// What the publisher says, and what the files do.
+/// Joins the publisher's description and the summary of the files.
 pub(super) fn description(about: &CardAbout, summary: &str) -> String {
     match &about.description {
         Some(own) => format!("{own}\n\n{summary}"),
@@ -127,7 +127,7 @@ fn creator(creator: &DataCreator) -> Value {
     json!({ "@type": kind, "name": creator.name() })
 }
 
-/// The fields of the RAI vocabulary.
+/// Returns the fields of the RAI vocabulary.
 fn responsible(words: &CardWords) -> Vec<(&'static str, Value)> {
     let mut fields = vec![
         ("dataCollection", json!(words.collection)),
@@ -172,7 +172,7 @@ fn file_object(file: &CardFile) -> Value {
     object
 }
 
-/// Name of the records of a table of a world.
+/// Returns the name of the record set of a world's table.
 pub(super) fn record_set(table: &CardTable, world: &str) -> String {
     format!("{}_{world}", table.name)
 }

@@ -1,4 +1,4 @@
-//! Text of a card as it grows: Markdown, and the YAML of its head.
+//! Builds the text of a card: Markdown, and the YAML of its header.
 
 /// A page of Markdown.
 pub(super) struct Markdown(String);
@@ -28,7 +28,7 @@ impl Markdown {
         items.iter().for_each(|item| self.line(format!("- {item}")));
     }
 
-    /// Adds code. Its fence is longer than any row of backticks in it, so that it cannot end before.
+    /// Adds code. The fence is longer than any row of backticks in the code, so that the code cannot close it.
     pub(super) fn code(&mut self, language: &str, code: &str) {
         let code: String =
             code.trim_end().chars().map(|c| if c == '\n' { c } else { shown(c) }).collect();
@@ -52,7 +52,7 @@ impl Markdown {
     }
 }
 
-/// Text in a cell of a table, or in a sentence: what a file holds must not become markup.
+/// Makes text safe for a cell of a table, or for a sentence: text from a file must not become markup.
 pub(super) fn printable(text: &str) -> String {
     let mut out = String::new();
     for c in text.chars() {
@@ -66,7 +66,7 @@ pub(super) fn printable(text: &str) -> String {
     out
 }
 
-/// A letter, or a blank for one that does something else than show: controls, and those that turn or hide what follows.
+/// Returns the letter, or a blank for characters that are not printed: controls, and characters that reverse or hide the text after them.
 fn shown(c: char) -> char {
     match c {
         '\u{200b}'..='\u{200f}'
@@ -78,12 +78,12 @@ fn shown(c: char) -> char {
     }
 }
 
-/// Text as YAML: JSON is YAML.
+/// Quotes text for YAML, as JSON, which is valid YAML.
 pub(super) fn quoted(text: &str) -> String {
     serde_json::Value::from(text).to_string()
 }
 
-/// At most so many digits behind the point, without zeros at the end.
+/// Writes a number with at most `digits` digits behind the point, without zeros at the end.
 pub(super) fn short(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     match text.contains('.') {
@@ -92,7 +92,7 @@ pub(super) fn short(value: f64, digits: usize) -> String {
     }
 }
 
-/// `4.7 MB`.
+/// Writes a size: `4.7 MB`.
 pub(super) fn size(bytes: u64) -> String {
     match bytes {
         0..1000 => format!("{bytes} B"),

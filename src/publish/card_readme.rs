@@ -1,4 +1,4 @@
-//! The card for people: README.md, whose head (YAML) data hubs read.
+//! Writes the card for people: README.md, whose header (YAML) data hubs read.
 
 use super::card_about::{CardAbout, DataCreator};
 use super::card_croissant::{KEYWORDS, description, record_set};
@@ -6,25 +6,25 @@ use super::card_markdown::{Markdown, printable, quoted, short, size};
 use super::card_tables::{CardField, CardTable, TABLES, WorldLine, detectors};
 use super::card_words::{CardWords, counted, probe};
 
-/// Stands in every card that this module writes, and in no other.
+/// Mark in every card that this module writes, and in no other file.
 pub(super) const MARK: &str =
     "<!-- Written by stemgen from the world files of this folder, and written anew by it. -->";
 
-/// What a world file holds.
+/// Description of the contents of a world file.
 const SCHEMA: &str = include_str!("card_schema.md");
-/// How a world, `WORLD.h5`, is loaded.
+/// Instructions for loading a world, `WORLD.h5`.
 const LOADING: &str = include_str!("card_loading.md");
-/// How a table is loaded; `RECORDS` stands for its name.
+/// Instructions for loading a table; `RECORDS` stands for its name.
 const RECORDS: &str = include_str!("card_records.md");
 
-/// What is shown of a world besides what its line in the table says.
+/// Information about a world beyond its line in the table.
 pub(super) struct ReadmeWorld<'a> {
     pub(super) line: WorldLine<'a>,
-    /// Path of its picture.
+    /// Path of the world's picture.
     pub(super) picture: String,
-    /// What the picture of a part shows, and its path.
+    /// Description of the part that a second picture shows, and its path.
     pub(super) part: Option<(&'a str, String)>,
-    /// Tables that it has.
+    /// Tables of the world.
     pub(super) tables: Vec<&'static CardTable>,
 }
 
@@ -37,7 +37,7 @@ impl ReadmeWorld<'_> {
         self.line.world.name.clone()
     }
 
-    /// `246 vacancies, 1 grain boundary`.
+    /// Summarises the contents: `246 vacancies, 1 grain boundary`.
     fn contents(&self) -> String {
         let f = &self.line.world.facts;
         let large = |n: u64| usize::try_from(n).unwrap_or(usize::MAX);
@@ -60,7 +60,7 @@ pub(super) fn readme(about: &CardAbout, words: &CardWords, worlds: &[ReadmeWorld
     head(about, words, worlds, &mut page);
     page.paragraph(MARK);
     page.paragraph(format!("# {}", printable(&about.title)));
-    // The publisher's own words may be Markdown; what the files say may not.
+    // The publisher's text may be Markdown; text from the files may not.
     page.paragraph(description(about, &printable(&words.summary)));
     pictures(worlds, &mut page);
     table_of_worlds(worlds, &mut page);
@@ -82,7 +82,7 @@ pub(super) fn readme(about: &CardAbout, words: &CardWords, worlds: &[ReadmeWorld
     page.text()
 }
 
-/// The head that data hubs read.
+/// Writes the header that data hubs read.
 fn head(about: &CardAbout, words: &CardWords, worlds: &[ReadmeWorld], page: &mut Markdown) {
     page.line(format!("---\npretty_name: {}", quoted(&about.title)));
     match about.license.as_ref().map(|license| (license.hub_name, &license.url)) {
@@ -114,7 +114,7 @@ fn head(about: &CardAbout, words: &CardWords, worlds: &[ReadmeWorld], page: &mut
     page.line("---");
 }
 
-/// Two pictures in a line: a world and a part of it, or two worlds where no parts are needed.
+/// Adds two pictures in a line: a world and a part of it, or two worlds if no parts are needed.
 fn pictures(worlds: &[ReadmeWorld], page: &mut Markdown) {
     let title = |w: &ReadmeWorld| format!("**{}**: {}", w.name(), w.contents());
     let picture = |text: &str, path: &str| format!("![{text}]({path})");

@@ -1,4 +1,4 @@
-//! The tables beside the worlds, as CSV: what each of their columns holds, and how they are written.
+//! Tables beside the worlds, as CSV: the contents of their columns, and their writers.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -22,7 +22,7 @@ pub(super) enum CardType {
 }
 
 impl CardType {
-    /// The name in Croissant.
+    /// Returns the name in Croissant.
     pub(super) fn croissant(self) -> &'static str {
         match self {
             CardType::Text => "sc:Text",
@@ -47,18 +47,18 @@ const fn field(name: &'static str, kind: CardType, text: &'static str) -> CardFi
 
 /// A kind of table, of which each world has one.
 pub(super) struct CardTable {
-    /// Its folder, and the beginning of its record sets' names.
+    /// Folder of the tables, and prefix of the names of their record sets.
     pub(super) name: &'static str,
-    /// What a line is.
+    /// Description of a line.
     pub(super) text: &'static str,
-    /// What tells lines apart.
+    /// Column that identifies a line.
     pub(super) key: &'static str,
     pub(super) fields: &'static [CardField],
     write: fn(&WorldFile, &str, &mut CsvFile, &dyn Progress) -> Result<()>,
 }
 
 impl CardTable {
-    /// The path of the table of a world.
+    /// Returns the path of a world's table.
     pub(super) fn path(&self, world: &str) -> String {
         format!("{}/{world}.csv", self.name)
     }
@@ -76,7 +76,7 @@ const Z: CardField = field(
     "depth in nm from the entrance surface; empty where the file has none",
 );
 
-/// Atomic columns.
+/// The table of atomic columns.
 pub(super) const COLUMNS: CardTable = CardTable {
     name: "columns",
     text: "One line for each atomic column.",
@@ -98,7 +98,7 @@ pub(super) const COLUMNS: CardTable = CardTable {
     write: columns,
 };
 
-/// Point defects.
+/// The table of point defects.
 pub(super) const DEFECTS: CardTable = CardTable {
     name: "defects",
     text: "One line for each vacancy or substitution.",
@@ -124,7 +124,7 @@ pub(super) const DEFECTS: CardTable = CardTable {
     write: defects,
 };
 
-/// Particles.
+/// The table of particles.
 pub(super) const PARTICLES: CardTable = CardTable {
     name: "particles",
     text: "One line for each particle that reaches into the image.",
@@ -173,7 +173,7 @@ impl<'a> CsvFile<'a> {
         written.map_err(|e| Error::io(self.path, "write", e))
     }
 
-    /// How many lines it has below its head.
+    /// Completes the file; returns the number of lines below the header.
     fn finish(self) -> Result<u64> {
         let path = self.path;
         let file = self.out.into_inner().map_err(|e| Error::io(path, "write", e.into_error()))?;
@@ -182,7 +182,7 @@ impl<'a> CsvFile<'a> {
     }
 }
 
-/// Text as a cell of a CSV file.
+/// Writes a text as a cell of a CSV file.
 fn cell(text: &str) -> String {
     match text.contains([',', '"', '\n', '\r']) {
         true => format!("\"{}\"", text.replace('"', "\"\"")),
@@ -190,15 +190,15 @@ fn cell(text: &str) -> String {
     }
 }
 
-/// A number as a cell: the fewest digits that lead back to it, nothing for none.
+/// Writes a number as a cell with the fewest digits from which it can be read back; empty for `None`.
 fn number(value: Option<f32>) -> String {
     value.filter(|v| v.is_finite()).map(|v| v.to_string()).unwrap_or_default()
 }
 
-/// Writes the table of a world, and returns its lines.
+/// Writes the table of a world, and returns its number of lines.
 ///
 /// # Errors
-/// [`Error::Io`], those of a damaged world, [`Error::Interrupted`].
+/// [`Error::Io`], errors of a damaged world, [`Error::Interrupted`].
 pub(super) fn write_table(
     table: &CardTable,
     world: &WorldFile,
@@ -234,7 +234,7 @@ fn defects(
     csv: &mut CsvFile,
     progress: &dyn Progress,
 ) -> Result<()> {
-    // The visitor returns nothing: the first fault is kept.
+    // The visitor cannot return an error, so the first one is kept.
     let mut result = Ok(());
     world.for_each_chunk_of_sites(|first, truth| {
         if result.is_ok() && progress.interrupted() {
@@ -251,7 +251,7 @@ fn defects(
     result
 }
 
-/// The line of a site, if it is a defect.
+/// Returns the line of a site, if it is a defect.
 fn defect(name: &str, first: usize, i: usize, truth: &GroundTruth) -> Option<String> {
     let kind = match truth.types[i] {
         atom_type::VACANCY => "vacancy",
@@ -288,12 +288,12 @@ fn particles(
     Ok(())
 }
 
-/// A world with what was found while its tables were written.
+/// A world, with the size and the checksum of its file.
 pub(super) struct WorldLine<'a> {
     pub(super) world: &'a CardWorld,
-    /// Size of its file.
+    /// Size of the file in bytes.
     pub(super) bytes: u64,
-    /// Checksum of its file.
+    /// SHA-256 of the file.
     pub(super) sha256: &'a str,
 }
 
@@ -316,7 +316,7 @@ fn said<T: ToString>(value: &Option<T>) -> String {
     value.as_ref().map(T::to_string).unwrap_or_default()
 }
 
-/// What the table of worlds holds; what a file does not tell is empty.
+/// Columns of the table of worlds; a value that a file does not give is empty.
 pub(super) const WORLD_FIELDS: &[WorldField] = &[
     of_world("world", CardType::Text, "name of the file without its ending", |w| {
         w.world.name.clone()
@@ -446,7 +446,7 @@ pub(super) const WORLD_FIELDS: &[WorldField] = &[
     }),
 ];
 
-/// `HAADF 68-200; ABF 10-21`.
+/// Lists the detectors: `HAADF 68-200; ABF 10-21`.
 pub(super) fn detectors(world: &CardWorld) -> String {
     let one = |d: &crate::detect::Detector| format!("{} {}-{}", d.name, d.inner_mrad, d.outer_mrad);
     world.facts.detectors.iter().map(one).collect::<Vec<_>>().join("; ")

@@ -1,45 +1,45 @@
-//! What the files tell of themselves, in sentences: how the data were made, what they are good for, and what they are not.
+//! Describes the data from their files, in sentences: their origin, their uses and their limits.
 //!
-//! Nothing is said here that the files do not tell.
+//! Every statement follows from the files.
 
 use std::collections::BTreeSet;
 
 use super::card_world::CardWorld;
 
-/// What was counted while the tables were written.
+/// Counts from writing the tables.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct DefectShare {
-    /// Atomic columns of all worlds.
+    /// Number of atomic columns in all worlds.
     pub(super) columns: usize,
-    /// Those with a vacancy or a substitution.
+    /// Number of columns with a vacancy or a substitution.
     pub(super) with_defects: usize,
 }
 
 /// The sentences of a card.
 pub(super) struct CardWords {
-    /// What it is.
+    /// Summary of the data.
     pub(super) summary: String,
-    /// How the data were made.
+    /// Origin of the data.
     pub(super) collection: String,
-    /// Where values are missing.
+    /// Places of missing values.
     pub(super) missing: String,
-    /// What they were made of.
+    /// Raw data.
     pub(super) raw: String,
-    /// What was done to the values.
+    /// Processing of the values.
     pub(super) preprocessing: Vec<String>,
-    /// Where labels come from.
+    /// Origin of the labels.
     pub(super) annotation: String,
-    /// What the data over-represent.
+    /// Biases: what the data over-represent.
     pub(super) biases: Vec<String>,
-    /// What they do not hold, and what they are not for.
+    /// Limits: contents that are missing, and uses that are not intended.
     pub(super) limitations: Vec<String>,
-    /// What they are for.
+    /// Intended uses.
     pub(super) uses: Vec<String>,
-    /// Whether there is anything of people in them.
+    /// Statement about personal data.
     pub(super) personal: String,
-    /// What they may do to people.
+    /// Possible effects on people.
     pub(super) social: String,
-    /// How they can be made again.
+    /// How the data can be made again.
     pub(super) maintenance: String,
     /// Programs that made the labels.
     pub(super) tools: Vec<String>,
@@ -76,12 +76,12 @@ impl CardWords {
     }
 }
 
-/// Different texts in the order of the alphabet.
+/// Returns the different texts in alphabetical order.
 fn distinct(worlds: &[CardWorld], text: impl Fn(&CardWorld) -> Option<String>) -> Vec<String> {
     worlds.iter().filter_map(text).collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// Names of the worlds that fulfil a condition.
+/// Returns the names of the worlds that fulfil a condition.
 fn named(worlds: &[CardWorld], which: impl Fn(&CardWorld) -> bool) -> Option<String> {
     let names: Vec<&str> = worlds.iter().filter(|w| which(w)).map(|w| w.name.as_str()).collect();
     match names.len() {
@@ -91,7 +91,7 @@ fn named(worlds: &[CardWorld], which: impl Fn(&CardWorld) -> bool) -> Option<Str
     }
 }
 
-/// `4`, or `4 to 16`.
+/// Writes a range: `4`, or `4 to 16`.
 fn range(values: impl Iterator<Item = f64>, digits: impl Fn(f64) -> String) -> Option<String> {
     let values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
     let least = values.iter().copied().reduce(f64::min)?;
@@ -227,7 +227,7 @@ fn biases(worlds: &[CardWorld], share: DefectShare) -> Vec<String> {
     text
 }
 
-/// `200 keV, 21 mrad`.
+/// Describes the probe: `200 keV, 21 mrad`.
 pub(super) fn probe(world: &CardWorld) -> Option<String> {
     let (energy, angle) = (world.facts.energy_kev?, world.facts.convergence_mrad?);
     Some(format!("{energy} keV, {angle} mrad"))

@@ -1,4 +1,4 @@
-//! A world as its card knows it.
+//! The information about a world that its card needs.
 
 use std::path::{Path, PathBuf};
 
@@ -8,23 +8,23 @@ use crate::recipe::Recipe;
 use crate::setting::Setting;
 use crate::world::WorldFacts;
 
-/// A world of a card.
+/// A world in a card.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct CardWorld {
-    /// Its file.
+    /// Path of the file.
     pub path: PathBuf,
     /// Name of the file without its ending.
     pub name: String,
-    /// What it holds.
+    /// Contents of the file in numbers.
     pub facts: WorldFacts,
-    /// The command that makes it again, where there is one.
+    /// The command that makes the world again, if there is one.
     pub command: Option<String>,
-    /// Where the result of that command may differ from this file, if it may.
+    /// How the result of that command may differ from this file, if it may.
     pub note: Option<String>,
-    /// The recipe as TOML, where that command reads it from `recipes/NAME.toml`.
+    /// The recipe as TOML, if that command reads it from `recipes/NAME.toml`.
     pub recipe_text: Option<String>,
-    /// The recipe that the file holds, where this version reads it.
+    /// The recipe in the file, if this version can read it.
     pub recipe: Option<Recipe>,
 }
 
@@ -33,15 +33,15 @@ pub struct CardWorld {
 pub struct CardPictures {
     /// The whole field.
     pub whole: Vec<u8>,
-    /// A part of it where columns are large enough to be seen, and what it is; none where the whole shows them.
+    /// A part of the field in which columns are large enough to be seen, with its description; `None` if the whole field shows them.
     pub part: Option<(String, Vec<u8>)>,
 }
 
 impl CardWorld {
-    /// Looks at a world; no command is known for it yet.
+    /// Collects the facts of a world; the command is not known yet.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a damaged file, or one whose name is none for a hub.
+    /// [`Error::Invalid`] for a damaged file, or a name that a hub does not accept.
     pub fn of(world: &WorldFile) -> Result<Self> {
         let path = world.path();
         let text = world.metadata().recipe.as_deref();
@@ -56,24 +56,24 @@ impl CardWorld {
         })
     }
 
-    /// Name of the file.
+    /// Returns the name of the file.
     pub fn file_name(&self) -> String {
         self.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
 
-    /// Where its recipe lies in the folder of the card.
+    /// Returns the path of the recipe in the folder of the card.
     #[must_use]
     pub fn recipe_path(name: &str) -> String {
         format!("recipes/{name}.toml")
     }
 
-    /// Whether stemgen made it.
+    /// Whether stemgen made the world.
     pub(super) fn is_ours(&self) -> bool {
         self.facts.stemgen_version.is_some() && self.facts.engine.is_some()
     }
 }
 
-/// The name of a file without its ending, if it can stand in addresses and tables as it is.
+/// Returns the name of a file without its ending, if it can stand in addresses and tables unchanged.
 fn card_name(path: &Path) -> Result<String> {
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);

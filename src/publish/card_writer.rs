@@ -1,4 +1,4 @@
-//! Writes the card of some worlds and the tables beside them: all of it, or nothing.
+//! Writes the card of some worlds and the tables beside them: completely or not at all.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -21,57 +21,57 @@ use crate::io::WorldFile;
 use crate::progress::Progress;
 use crate::setting::Setting;
 
-/// No card is longer.
+/// Largest size of a README.md that is read to see whether it is a card.
 const LARGEST_README: u64 = 16 << 20;
-/// Beginning of the name of the folder in which a card is made.
+/// Prefix of the name of the temporary folder of a card.
 const STAGING: &str = ".stemgen-card-";
-/// Says that a card is being put in place; hidden, so that it does not go to a hub.
+/// Name of the note that a card is being moved into place; it is hidden, so that it is not uploaded to a hub.
 const NOTE: &str = ".stemgen-unfinished-card";
-/// Files of each world, for progress: tables, picture, world.
+/// Number of files of each world, for progress: tables, picture, world.
 const FILES_EACH: usize = TABLES.len() + 2;
 /// Folders whose files belong to a card.
 const FOLDERS: [&str; 6] = ["columns", "defects", "particles", "parts", "pictures", "recipes"];
 
-/// A file of the folder of a card.
+/// A file in the folder of a card.
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct CardFile {
-    /// Its path in the folder, with `/` between its parts.
+    /// Path in the folder, with `/` between its parts.
     pub path: String,
-    /// What it is.
+    /// Description of the file.
     pub text: String,
-    /// Its media type.
+    /// Media type of the file.
     pub media_type: &'static str,
-    /// Its size.
+    /// Size in bytes.
     pub bytes: u64,
-    /// Its checksum.
+    /// SHA-256 of the file.
     pub sha256: String,
-    /// The command that makes it again, of a world.
+    /// The command that makes the file again, for a world.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub command: Option<String>,
 }
 
-/// What was written.
+/// The written card.
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct CardSummary {
     /// The folder.
     pub folder: PathBuf,
-    /// The files of the card, besides README.md and croissant.json.
+    /// The files of the card, except README.md and croissant.json.
     pub files: Vec<CardFile>,
-    /// What Croissant asks for and the publisher has not said.
+    /// Properties that Croissant requires or recommends and the publisher has not given.
     pub missing: Vec<&'static str>,
 }
 
 /// The card of some worlds.
 pub struct Card<'a> {
-    /// What the publisher says.
+    /// Information from the publisher.
     pub about: &'a CardAbout,
     /// The worlds, in the order of the card.
     pub worlds: &'a [CardWorld],
-    /// Where it goes. Worlds that lie elsewhere are copied there.
+    /// Folder of the card. Worlds elsewhere are copied into it.
     pub folder: &'a Path,
-    /// Whether files that are there are replaced, though no card says that they are its own.
+    /// Whether existing files are replaced although they belong to no card.
     pub overwrite: bool,
     /// Draws a world with its defects.
     pub draw: &'a dyn Fn(&WorldFile, &CardWorld) -> Result<CardPictures>,
@@ -81,13 +81,13 @@ pub struct Card<'a> {
 struct PreparedWorld {
     file: CardFile,
     tables: Vec<&'static CardTable>,
-    /// What the picture of a part shows, where there is one.
+    /// Description of the part in the second picture, if there is one.
     part: Option<String>,
     others: Vec<CardFile>,
 }
 
 impl Card<'_> {
-    /// Paths of all files that may be written, besides copies of worlds.
+    /// Returns the paths of all files that may be written, except copies of worlds.
     #[must_use]
     pub fn outputs(&self) -> Vec<PathBuf> {
         let mut paths = vec!["README.md".to_owned(), "croissant.json".into(), "worlds.csv".into()];
@@ -101,11 +101,11 @@ impl Card<'_> {
         paths.into_iter().map(|path| self.folder.join(path)).collect()
     }
 
-    /// Writes it: everything is made in a folder beside its place first, so that a failure leaves things as they were.
+    /// Writes the card. All files are first made in a temporary folder beside their final place, so that a failure changes nothing.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for no worlds, two of one name, or what [`CardAbout::check`] finds; for files that are there and are
-    /// none of a card, unless they may be replaced; [`Error::DiskSpace`], [`Error::Io`], those of damaged worlds,
+    /// [`Error::Invalid`] if there are no worlds, for two worlds of one name, for errors that [`CardAbout::check`] finds, and for existing
+    /// files that belong to no card, unless they may be replaced; [`Error::DiskSpace`], [`Error::Io`], errors of damaged worlds,
     /// [`Error::Interrupted`].
     pub fn write(&self, progress: &dyn Progress) -> Result<CardSummary> {
         self.about.check()?;
@@ -115,7 +115,7 @@ impl Card<'_> {
         let ours = is_a_card(&self.folder.join("README.md"))? || is_a_card(&note)?;
         let inputs = self.worlds.iter().map(|w| &w.path);
         check_outputs(self.outputs(), inputs, ours || self.overwrite)?;
-        // Two that write one card at the same time would take each other's files away.
+        // Two processes that write one card at the same time would remove each other's files.
         let lock = OutputLock::hold(&self.folder.join("README.md"))?;
         self.remove_staging()?;
         let copied = self.copied()?;
@@ -130,7 +130,7 @@ impl Card<'_> {
             fs::create_dir(&folder).map_err(|e| Error::io(&folder, "create", e))?;
         }
         let summary = self.prepare(staging.path(), &copied, progress)?;
-        // From here on files that are there are the card's own, also if this is ended half-way.
+        // From here on existing files belong to the card, even if the process ends half-way.
         atomic_write::write(&note, MARK.as_bytes())?;
         self.put_in_place(staging.path(), &summary, &copied)?;
         remove(&note)?;
@@ -158,7 +158,7 @@ impl Card<'_> {
         }
     }
 
-    /// Removes what a run that was killed had made and not put in place.
+    /// Removes temporary folders that a killed run has left.
     fn remove_staging(&self) -> Result<()> {
         for entry in fs::read_dir(self.folder).into_iter().flatten().flatten() {
             let path = entry.path();
@@ -170,7 +170,7 @@ impl Card<'_> {
         Ok(())
     }
 
-    /// The worlds that do not lie in the folder yet.
+    /// Returns the worlds that do not lie in the folder yet.
     fn copied(&self) -> Result<Vec<&CardWorld>> {
         let mut copied = Vec::new();
         for world in self.worlds {
@@ -188,7 +188,7 @@ impl Card<'_> {
         Ok(copied)
     }
 
-    /// Makes all files below `staging`.
+    /// Makes all files in `staging`.
     fn prepare(
         &self,
         staging: &Path,
@@ -247,7 +247,7 @@ impl Card<'_> {
         for table in TABLES {
             progress.advance(1);
             let path = table.path(name);
-            // A table without lines has no types: hubs cannot put it together with those of other worlds.
+            // A table without lines has no types, so hubs cannot join it with the tables of other worlds.
             match write_table(table, &file, name, &staging.join(&path), progress)? {
                 0 => remove(&staging.join(&path))?,
                 _ => {
@@ -290,7 +290,7 @@ impl Card<'_> {
         Ok(PreparedWorld { file, tables, part: part.map(|(text, _)| text), others })
     }
 
-    /// Moves the files that are ready to their places, those that say what the others are last.
+    /// Moves the finished files to their final places; files that describe the others come last.
     fn put_in_place(
         &self,
         staging: &Path,
@@ -310,7 +310,7 @@ impl Card<'_> {
         Ok(())
     }
 
-    /// Tells of what lies in the folder, would go to the hub with it, and is not in the card.
+    /// Warns of files in the folder that would be uploaded to the hub but are not in the card.
     fn warn_of_strangers(&self, summary: &CardSummary, progress: &dyn Progress) {
         let mut strangers = Vec::new();
         for folder in FOLDERS {
@@ -320,7 +320,7 @@ impl Card<'_> {
                     strangers.push(path);
                 }
             }
-            // Only if it is empty.
+            // The folder is only removed if it is empty.
             let _ = fs::remove_dir(self.folder.join(folder));
         }
         for name in names_in(self.folder) {
@@ -344,10 +344,10 @@ fn is_hdf5_name(path: &Path) -> bool {
 }
 
 impl CardWorld {
-    /// The files of a folder that have the ending of HDF5 files, in the order of their names; hidden ones are left out.
+    /// Returns the files of a folder that have the ending of HDF5 files, in the order of their names; hidden files are left out.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Invalid`] where there are none.
+    /// [`Error::Io`]; [`Error::Invalid`] if there are none.
     pub fn files_of(folder: &Path) -> Result<Vec<PathBuf>> {
         fs::read_dir(folder).map_err(|e| Error::io(folder, "read", e))?;
         let names = names_in(folder).into_iter().map(PathBuf::from);
@@ -366,7 +366,7 @@ impl CardWorld {
     }
 }
 
-/// Names in a folder, in order, without hidden ones; none of one that cannot be read.
+/// Returns the names in a folder, in order, without hidden ones; empty for a folder that cannot be read.
 fn names_in(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
@@ -397,7 +397,7 @@ fn remove(path: &Path) -> Result<()> {
     fs::remove_file(path).map_err(|e| Error::io(path, "remove", e))
 }
 
-/// Whether a card was written there before; no other file is replaced unasked.
+/// Whether the file at the path is a card of this program; other files are not replaced without permission.
 fn is_a_card(path: &Path) -> Result<bool> {
     match fs::metadata(path) {
         Ok(about) if about.is_file() && about.len() <= LARGEST_README => {
@@ -408,7 +408,7 @@ fn is_a_card(path: &Path) -> Result<bool> {
     }
 }
 
-/// Folders that are made for a card, and that go again if it fails.
+/// Folders that were made for a card, and are removed if it fails.
 struct Added(Vec<PathBuf>);
 
 impl Added {
@@ -427,7 +427,7 @@ impl Added {
 impl Drop for Added {
     fn drop(&mut self) {
         for path in self.0.iter().rev() {
-            // Those that hold something stay.
+            // Folders with contents stay.
             let _ = fs::remove_dir(path);
         }
     }

@@ -1,7 +1,7 @@
-//! The card of a folder of worlds: what a data hub shows and reads of it.
+//! The card of a folder of worlds: its description for a data hub.
 //!
-//! `README.md` is for people, and its head for the hub. `croissant.json` is for programs: Croissant 1.1 with the fields of its
-//! RAI vocabulary. Programs that read Croissant read no HDF5, so what the truth lists lies beside the worlds as CSV.
+//! `README.md` is for people, and its header for the hub. `croissant.json` is for programs: Croissant 1.1 with the fields of its RAI
+//! vocabulary. Programs that read Croissant cannot read HDF5, so the lists of the truth are also written as CSV beside the worlds.
 
 mod card_about;
 mod card_croissant;

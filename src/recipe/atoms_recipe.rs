@@ -1,4 +1,4 @@
-//! A recipe for a file of atoms alone.
+//! Makes a recipe from a file of atoms alone.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -12,24 +12,24 @@ use crate::structure::{Format, LabelledAtoms, Sigmas, elements, sigmas_of_file};
 
 /// Edge of a pixel in nm.
 const PIXEL_NM: f64 = 0.02;
-/// Edge of a tile in pixels, and pixels that neighbours share.
+/// Edge of a tile in pixels, and number of pixels that neighbours share.
 const TILE_PX: usize = 128;
 const OVERLAP_PX: usize = 4;
-/// Vacuum about the atoms at least, so that the columns at the edge are seen whole, in nm.
+/// Least width of vacuum about the atoms in nm, so that the image shows the columns at the edge completely.
 const MARGIN_NM: f64 = 0.25;
-/// Room for the potential of the last atom, in nm.
+/// Space behind the last atom for its potential, in nm.
 const BEHIND_NM: f64 = 0.2;
-/// Phonon configurations where the file tells displacements.
+/// Number of phonon configurations if the file gives displacements.
 const CONFIGURATIONS: usize = 8;
-/// Longest id.
+/// Greatest length of an id.
 const LONGEST_ID: usize = 64;
 
 impl Recipe {
-    /// A recipe for the atoms of a file: the field holds all of them, in whole tiles of 128 pixels of 0.02 nm; 200 kV, 21 mrad, 68
-    /// to 200 mrad, 1e4 electrons per square Angstrom. Atoms vibrate as a CIF tells, and not at all where the file tells nothing.
+    /// Makes a recipe for the atoms of a file: the field holds all of them, in whole tiles of 128 pixels of 0.02 nm; 200 kV, 21 mrad, 68 to
+    /// 200 mrad, 1e4 electrons per square Angstrom. Atoms vibrate as a CIF states, and not at all if the file states nothing.
     ///
     /// # Errors
-    /// Those of the file.
+    /// Errors of the file.
     pub fn of_atoms_file(path: &Path) -> Result<Self> {
         let mut table = AtomsTable::new(&path.display().to_string());
         table.find(Path::new(""))?;
@@ -39,13 +39,13 @@ impl Recipe {
         let text = text_of(&id_of(path), &field, &phonons);
         let mut recipe = Recipe::from_toml_str(&path.display().to_string(), &text, None)?;
         recipe.atoms = Some(table);
-        // No user wrote the text, so errors name keys and not its lines.
+        // The text was not written by a user, so errors name keys and not lines.
         recipe.origin.text = None;
         Ok(recipe)
     }
 }
 
-/// The name of the file without its ending, as an id may be.
+/// Makes an id from the name of the file without its ending.
 fn id_of(path: &Path) -> String {
     let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };

@@ -1,4 +1,4 @@
-//! The file of atoms that a recipe names.
+//! The table `[atoms]` of a recipe, which names a file of atoms.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,7 +11,7 @@ use crate::files::whole_file;
 use crate::setting::Setting;
 use crate::structure::{Format, LabelledAtoms, parse_labelled};
 
-/// The crystal and the zone axis of recipes that have none.
+/// Value of `crystal` and `zone_axis` in recipes without a crystal.
 pub(super) const NO_CRYSTAL: &str = "none";
 
 /// The atoms of a file: extended XYZ, with labels of defects and phases if it has such columns, CIF or POSCAR. The beam runs along +z.
@@ -20,11 +20,11 @@ pub(super) const NO_CRYSTAL: &str = "none";
 pub struct AtomsTable {
     /// Path of the file, relative to the recipe; in a resolved recipe, relative to the current folder or the recipe.
     pub file: String,
-    /// SHA-256 of the file: the recipe is for no other.
+    /// SHA-256 of the file; another file is refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
-    /// Where the centre of the first pixel of the full field lies in the file: (x, y) in Angstrom. When absent, the middle of the
-    /// atoms is the middle of the field.
+    /// Position (x, y) in the file, in Angstrom, of the centre of the first pixel of the full field. When absent, the middle of the atoms
+    /// is the middle of the field.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub origin_angstrom: Option<[f64; 2]>,
     /// Repeat the cell along x and y over the field and beyond.
@@ -32,26 +32,26 @@ pub struct AtomsTable {
     pub repeat: bool,
 }
 
-/// What tells a file that was read: its SHA-256 and its format.
+/// Key of a file that was read: its SHA-256 and its format.
 type ReadKey = (String, Format);
 
-/// The file that was read last. A recipe is changed and checked several times before its world is made.
+/// The file that was read last: a recipe is changed and checked several times before its world is made.
 static LAST_READ: Mutex<Option<(ReadKey, Arc<LabelledAtoms>)>> = Mutex::new(None);
 
-/// Whether a name is that of a file of atoms.
+/// Whether a path names a file of atoms.
 pub fn is_atoms_file(path: &Path) -> bool {
-    // A POSCAR may have any ending, but those of recipes and worlds.
+    // A POSCAR may have any ending except the endings of recipes and worlds.
     let ending = path.extension().map(|ending| ending.to_ascii_lowercase()).unwrap_or_default();
     !["toml", "h5", "hdf5"].iter().any(|other| ending == *other) && Format::from_path(path).is_ok()
 }
 
 impl AtomsTable {
-    /// The atoms of a file yet to be found.
+    /// Makes a table for a file that has not been searched yet.
     pub fn new(file: &str) -> Self {
         AtomsTable { file: file.to_owned(), sha256: None, origin_angstrom: None, repeat: false }
     }
 
-    /// Finds the file relative to `folder`, and notes its digest, if that was not done before.
+    /// Finds the file relative to `folder`, and records its digest, if that has not been done before.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a name of no known format, [`Error::Io`].
@@ -67,14 +67,15 @@ impl AtomsTable {
         Ok(())
     }
 
-    /// Forgets the digest if another file is named than in `before`, but no other digest.
+    /// Clears the digest if the table names another file than `before` but still has the old digest.
     pub(super) fn forget_another(&mut self, before: &AtomsTable) {
         if self.file != before.file && self.sha256 == before.sha256 {
             self.sha256 = None;
         }
     }
 
-    /// Where the file may lie: as its path says, and in `folder`, that of the recipe or of a world built from it.
+    /// Returns the paths at which the file may lie: its own path, and places in `folder`, the folder of the recipe or of a world built from
+    /// it.
     fn places(&self, folder: &Path) -> Vec<PathBuf> {
         let own = PathBuf::from(&self.file);
         let beside = own.file_name().map(|name| folder.join(name));
@@ -89,10 +90,10 @@ impl AtomsTable {
         places
     }
 
-    /// The atoms; the file is looked for where it was, and in `folder`.
+    /// Reads the atoms; the file is searched at its own path, and in `folder`.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a file that is gone or has changed; those of reading it.
+    /// [`Error::Invalid`] for a file that is missing or has changed; errors of reading it.
     pub(super) fn atoms(&self, folder: &Path) -> Result<Arc<LabelledAtoms>> {
         let refuse =
             |expected: String| Err(Error::invalid(Setting::StructureFile, &self.file, expected));

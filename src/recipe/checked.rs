@@ -1,4 +1,4 @@
-//! Recipes that have been held against all limits.
+//! Recipes whose values have been checked against all limits.
 
 use std::ops::Deref;
 use std::path::Path;
@@ -15,10 +15,10 @@ use crate::models::particles::Metal;
 use crate::structure::columns::ColumnCrystal;
 use crate::structure::{LabelledAtoms, Structure};
 
-/// A recipe whose values are within their limits, with its crystals read and turned: the only way to a specimen.
+/// A recipe whose values are within their limits, with its crystals read and oriented. A specimen can only be made from a checked recipe.
 ///
-/// It reads as a [`Recipe`] and cannot be changed; to change values, take [`CheckedRecipe::recipe`] and check that
-/// again. A clone shares everything.
+/// It dereferences to [`Recipe`] and cannot be changed; to change values, take [`CheckedRecipe::recipe`] and check the result again. A
+/// clone shares all data.
 #[derive(Debug, Clone)]
 pub struct CheckedRecipe(Arc<Parts>);
 
@@ -36,7 +36,7 @@ impl Deref for CheckedRecipe {
 }
 
 impl CheckedRecipe {
-    /// A recipe that comes with the program, at one of its [`Recipe::tiers`].
+    /// Loads a recipe that is installed with the program, at one of its [`Recipe::tiers`].
     ///
     /// # Errors
     /// As [`Recipe::load`] and [`Recipe::checked`].
@@ -52,12 +52,12 @@ impl CheckedRecipe {
         Recipe::from_file(path, difficulty)?.checked()
     }
 
-    /// The recipe, to change.
+    /// Returns the recipe, whose clone can be changed.
     pub fn recipe(&self) -> &Recipe {
         &self.0.recipe
     }
 
-    /// The same with another seed, on which neither limits nor crystals depend.
+    /// Returns this recipe with another seed, on which neither limits nor crystals depend.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a seed that TOML cannot hold.
@@ -73,10 +73,10 @@ impl CheckedRecipe {
         }
     }
 
-    /// The crystal in a box whose z axis is the zone axis; lengths in Angstrom.
+    /// Returns the crystal in a box whose z axis is the zone axis; lengths in Angstrom.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for particles, which have orientations of their own, and for the atoms of a file.
+    /// [`Error::Invalid`] for particles, each of which has its own orientation, and for the atoms of a file.
     pub fn structure(&self) -> Result<&Structure> {
         match &*self.0.crystals {
             OrientedCrystals::Columns { structure, .. } => Ok(structure),
@@ -84,7 +84,7 @@ impl CheckedRecipe {
         }
     }
 
-    /// That crystal as columns of atoms along the beam.
+    /// Returns that crystal as columns of atoms along the beam.
     ///
     /// # Errors
     /// As [`CheckedRecipe::structure`].
@@ -95,7 +95,7 @@ impl CheckedRecipe {
         }
     }
 
-    /// The second phase of domains, or the end member of an alloy, in a box whose z axis is the zone axis.
+    /// Returns the second phase of domains, or the end member of an alloy, in a box whose z axis is the zone axis.
     ///
     /// # Errors
     /// [`Error::Invalid`] for other specimens.
@@ -106,7 +106,7 @@ impl CheckedRecipe {
         }
     }
 
-    /// Atomic number and lattice of the metal of particles.
+    /// Returns atomic number and lattice of the metal of particles.
     ///
     /// # Errors
     /// [`Error::Invalid`] for other specimens.
@@ -117,7 +117,7 @@ impl CheckedRecipe {
         }
     }
 
-    /// The atoms of the file.
+    /// Returns the atoms of the file.
     ///
     /// # Errors
     /// [`Error::Invalid`] for other specimens.
@@ -128,10 +128,10 @@ impl CheckedRecipe {
         }
     }
 
-    /// What there is to say of the files that it is made of: sentences for the user, each a warning.
+    /// Returns warnings about the files of crystals and atoms, as sentences for the user.
     ///
     /// # Errors
-    /// Those of the files of crystals.
+    /// Errors of the files of crystals.
     pub fn notes(&self) -> Result<Vec<String>> {
         let mut notes = Vec::new();
         for crystal in self.crystals() {
@@ -164,11 +164,11 @@ impl CheckedRecipe {
 }
 
 impl Recipe {
-    /// Holds every value against its limits, and reads the crystals.
+    /// Checks every value against its limits, and reads the crystals.
     ///
     /// # Errors
-    /// [`Error::Set`] naming the change at fault; [`Error::Parse`] with the line of a value as it was written;
-    /// else [`Error::Invalid`] naming the key; and those of the crystals' files.
+    /// [`Error::Set`] naming the change at fault; [`Error::Parse`] with the line of a value as it was written; else [`Error::Invalid`]
+    /// naming the key; and errors of the crystals' files.
     pub fn checked(self) -> Result<CheckedRecipe> {
         match checking::check(&self) {
             Ok(crystals) => {
@@ -179,7 +179,7 @@ impl Recipe {
         }
     }
 
-    /// The error of a fault: of the change that set the key, of its line, or of the recipe.
+    /// Converts a fault to an error that names the change that set the key, or the line of the key, or the recipe.
     fn error_of(&self, Fault { key, value, expected }: Fault) -> Error {
         let changes = &self.origin.changes;
         let assignment = format!("{key} = {value}");
@@ -195,20 +195,20 @@ impl Recipe {
         }
     }
 
-    /// The value of a dotted key.
+    /// Returns the value of a dotted key.
     fn value(&self, key: &str) -> Option<toml::Value> {
         value_at(&toml::Table::try_from(self).ok()?, key)
     }
 }
 
 impl RecipeText {
-    /// The recipe as it was written, if it can be read.
+    /// Returns the recipe as it was written, if it can be read.
     fn recipe(&self) -> Option<Recipe> {
         self.table().ok()?.try_into().ok()
     }
 }
 
-/// The value of a dotted key of a table.
+/// Returns the value of a dotted key of a table.
 fn value_at(table: &toml::Table, key: &str) -> Option<toml::Value> {
     match key.split_once('.') {
         Some((first, rest)) => value_at(table.get(first)?.as_table()?, rest),

@@ -44,13 +44,13 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     Ok(crystals)
 }
 
-/// Recipes are written down as TOML.
+/// Checks the seed, which must fit into a number of TOML.
 pub fn check_seed(seed: u64) -> Checked {
     let expected = || format!("expected at most {}, the greatest number of TOML", i64::MAX);
     if i64::try_from(seed).is_err() { fault("seed", seed, expected()) } else { Ok(()) }
 }
 
-/// What the beam displaces has to be in the specimen.
+/// Checks that the elements that the beam displaces are in the specimen.
 fn check_damage(recipe: &Recipe, elements: &[String]) -> Checked {
     let Some(damage) = &recipe.damage else { return Ok(()) };
     for (name, symbol) in damage.elements() {
@@ -59,10 +59,10 @@ fn check_damage(recipe: &Recipe, elements: &[String]) -> Checked {
     damage.check().map_err(|fault| fault.in_table("damage"))
 }
 
-/// Longest id and source.
+/// Greatest length of an id and of a source.
 const LONGEST_NAME: usize = 64;
 
-/// The id becomes part of paths, the source an attribute of files.
+/// Checks the names: the id becomes part of paths, the source an attribute of files.
 fn check_names(recipe: &Recipe) -> Checked {
     let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     let id = &recipe.id;
@@ -101,7 +101,7 @@ fn check_field(field: &Field) -> Checked {
     }
 }
 
-/// A table that the specimen builder does not read would be silently without effect.
+/// Refuses tables that the specimen builder does not read: they would have no effect, without notice.
 fn check_tables(recipe: &Recipe) -> Checked {
     use StructureKind::{Atoms, Domains, Epitaxy, Grains, Particles};
     let tables = [
@@ -129,7 +129,7 @@ fn check_tables(recipe: &Recipe) -> Checked {
     Ok(())
 }
 
-/// Checks what belongs to the kind of specimen; returns its crystals, and all elements that it may hold.
+/// Checks the tables of the kind of specimen; returns its crystals, and all elements that it may hold.
 fn check_specimen(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> {
     if recipe.structure == StructureKind::Particles {
         return check_particles(recipe);
@@ -157,7 +157,7 @@ fn check_specimen(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> {
     Ok((OrientedCrystals::Columns { structure, columns, second }, symbols))
 }
 
-/// The crystal of the second phase of domains.
+/// Reads and checks the crystal of the second phase of domains.
 fn second_phase(recipe: &Recipe) -> Checked<Structure> {
     let domains = needed("domains", recipe.domains.as_ref())?;
     check_domains(domains, &recipe.field)?;
@@ -165,7 +165,7 @@ fn second_phase(recipe: &Recipe) -> Checked<Structure> {
         .map_err(|e| crystal_fault("domains.crystal", e))
 }
 
-/// The end member of an alloy.
+/// Reads and checks the end member of an alloy.
 fn end_member(recipe: &Recipe, symbols: &[String]) -> Checked<Structure> {
     let alloy = needed("alloy", recipe.alloy.as_ref())?;
     check_alloy(alloy, symbols)?;
@@ -175,7 +175,7 @@ fn end_member(recipe: &Recipe, symbols: &[String]) -> Checked<Structure> {
     Ok(end)
 }
 
-/// The crystal along its zone axis, and that it fits into the field.
+/// Reads the crystal along its zone axis, and checks that it fits into the field.
 fn check_crystal(recipe: &Recipe) -> Checked<(Structure, ColumnCrystal)> {
     let structure = oriented(&recipe.crystal, &recipe.zone_axis, recipe.y_axis.as_deref())
         .map_err(|e| crystal_fault("crystal", e))?;
@@ -189,7 +189,7 @@ fn check_crystal(recipe: &Recipe) -> Checked<(Structure, ColumnCrystal)> {
         );
         return fault("field.thickness_nm", recipe.field.thickness_nm, expected);
     }
-    // Cells are counted from a point of the field; a rotated grain needs more of them.
+    // Cells are counted from a point of the field, and a rotated grain needs more of them.
     let diagonal = 10.0 * 1.5 * (recipe.field.fov_nm[0].max(recipe.field.fov_nm[1]) + 50.0);
     if diagonal / crystal.cell[0].min(crystal.cell[1]) > MOST_CELLS_ACROSS as f64 {
         let most =
@@ -237,7 +237,7 @@ fn check_boundaries(
     Ok(())
 }
 
-/// Boundaries that leave parts of the field at least `room_nm` wide.
+/// Checks that boundaries leave parts of the field that are at least `room_nm` wide.
 fn check_count(key: &str, count: usize, field: &Field, room_nm: f64) -> Checked {
     if count > 200 || (count + 1) as f64 * room_nm > field.fov_nm[1] {
         let most = ((field.fov_nm[1] / room_nm) as usize).clamp(1, 201) - 1;
@@ -268,7 +268,7 @@ fn check_domains(d: &DomainTable, field: &Field) -> Checked {
 fn check_alloy(alloy: &Alloy, crystal: &[String]) -> Checked {
     one_of("alloy.host", &alloy.host, crystal)?;
     check_guest("alloy.guest", &alloy.guest, &alloy.host)?;
-    // A linear gradient reaches twice the mean.
+    // A linear gradient ends at twice the mean.
     let most = if alloy.profile == CompositionProfile::Linear { 0.5 } else { 1.0 };
     within("alloy.rate", alloy.rate, 0.0, most)?;
     if alloy.c13_gpa.is_some() != alloy.c33_gpa.is_some() {
@@ -285,7 +285,7 @@ fn check_alloy(alloy: &Alloy, crystal: &[String]) -> Checked {
     Ok(())
 }
 
-/// Points of all rough interfaces together.
+/// Largest number of points of all rough interfaces together.
 const MOST_INTERFACE_POINTS: f64 = 2e7;
 
 fn check_wells(alloy: &Alloy, wells: Option<&Wells>, field: &Field) -> Checked {
@@ -305,7 +305,7 @@ fn check_wells(alloy: &Alloy, wells: Option<&Wells>, field: &Field) -> Checked {
         );
         return fault("wells.width_nm", wells.width_nm, expected);
     }
-    // The two sides of a well or barrier meet at 2.8 standard deviations of their distance.
+    // Both sides of a well or barrier may meet only at 2.8 standard deviations of their distance.
     let most = wells.width_nm.min(part - wells.width_nm) / 4.0;
     within("wells.roughness_nm", wells.roughness_nm, 0.0, most)?;
     // Interfaces are tabulated six times per correlation length.
@@ -316,7 +316,7 @@ fn check_wells(alloy: &Alloy, wells: Option<&Wells>, field: &Field) -> Checked {
     within(key, wells.roughness_correlation_nm, least, least.max(1000.0))
 }
 
-/// A table that must hold exactly the keys `needed`, each within limits.
+/// Checks that a table holds exactly the keys `needed`, each within limits.
 fn check_elements(
     key: &str,
     table: &BTreeMap<String, f64>,

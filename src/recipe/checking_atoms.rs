@@ -6,14 +6,14 @@ use super::oriented_crystals::OrientedCrystals;
 use super::resolved_recipe::Recipe;
 use crate::structure::LabelledAtoms;
 
-/// Empty space that a specimen may have behind its last atom, in nm.
+/// Largest empty space of a specimen behind its last atom, in nm.
 const MOST_BEHIND_NM: f64 = 100.0;
-/// Thickest specimen in nm.
+/// Greatest thickness of a specimen in nm.
 const THICKEST_NM: f64 = 1000.0;
-/// Components of cell vectors below this, in Angstrom, are none.
+/// Components of cell vectors below this, in Angstrom, count as zero.
 const ALONG_AXIS_ANGSTROM: f64 = 1e-4;
 
-/// Checks what belongs to the atoms of a file; returns them, and all elements that the specimen may hold.
+/// Checks the table of a file of atoms; returns the atoms, and all elements that the specimen may hold.
 pub fn check_atoms(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> {
     if recipe.zone_axis != NO_CRYSTAL || recipe.y_axis.is_some() {
         let expected = "the atoms lie as their file says, with the beam along +z; expected no zone_axis and no y_axis";
@@ -52,7 +52,7 @@ fn check_thickness(thickness_nm: f64, atoms: &LabelledAtoms) -> Checked {
         );
         return fault("atoms.file", "(too thick)", expected);
     }
-    // Positions have the digits of their file.
+    // Positions are only as exact as the digits of their file.
     if !(extent - 1e-6..=extent + MOST_BEHIND_NM).contains(&thickness_nm) || thickness_nm <= 0.0 {
         let expected = format!(
             "the atoms reach over {extent:.4} nm along the beam; expected that, and at most {MOST_BEHIND_NM} nm more"
@@ -62,7 +62,7 @@ fn check_thickness(thickness_nm: f64, atoms: &LabelledAtoms) -> Checked {
     Ok(())
 }
 
-/// A cell that can be repeated along x and y.
+/// Checks that the cell can be repeated along x and y.
 fn check_cell(atoms: &LabelledAtoms) -> Checked {
     let [a, b, _] = atoms.cell;
     let beside = [a[1], a[2], b[0], b[2]];

@@ -4,7 +4,7 @@ use super::fault::{Checked, check_guest, fault, one_of, within};
 use super::resolved_recipe::Recipe;
 use super::tables::{MOST_POINT_DEFECTS, PointDefect, StructureKind, Substitutions, Vacancies};
 
-/// Defects of a crystal that holds the elements `symbols`; adds those that come in by substitution.
+/// Checks the defects of a crystal of the elements `symbols`, and adds the elements of substitutions to `symbols`.
 pub fn check_defects(recipe: &Recipe, symbols: &mut Vec<String>) -> Checked {
     if let Some(vacancies) = &recipe.vacancies {
         check_vacancies(vacancies, symbols)?;

@@ -9,12 +9,12 @@ use crate::models::carbon::block;
 use crate::models::particles::Metal;
 use crate::structure::elements;
 
-/// Share of the field that circles can be strewn over in reasonable time; random strewing ends at 0.547.
+/// Largest covered share of the field for which random placing of circles ends in reasonable time; it cannot exceed 0.547.
 const MOST_COVERED: f64 = 0.4;
-/// Circle around a particle over its diameter; particles of few atoms are longer, and may find no place.
+/// Diameter of the circle around a particle divided by the particle's diameter. Particles of few atoms are longer, and may find no place.
 const CIRCLE: f64 = 1.35;
 
-/// Checks what belongs to particles; returns their metal, and all elements that the specimen may hold.
+/// Checks the table of particles; returns their metal, and all elements that the specimen may hold.
 pub fn check_particles(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> {
     if recipe.zone_axis != "none" || recipe.y_axis.is_some() {
         let expected =

@@ -1,4 +1,4 @@
-//! The crystal that a recipe names: one of the program's, or a file of the user's.
+//! The crystal that a recipe names: one of the program's crystals, or a file of the user.
 
 use std::path::Path;
 
@@ -9,26 +9,26 @@ use crate::error::{Error, Result};
 use crate::files::whole_file;
 use crate::structure::{self, Format, Structure, crystals};
 
-/// `"srtio3"` (see [`crystals`]), or the path of a CIF, POSCAR or extended XYZ file relative to the
-/// recipe. The text of such a file becomes part of the resolved recipe, `{ file = ..., text = ... }`.
+/// The name `"srtio3"` of a crystal (see [`crystals`]), or the path of a CIF, POSCAR or extended XYZ file relative to the recipe. The text
+/// of the file becomes part of the resolved recipe, `{ file = ..., text = ... }`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CrystalSource {
     /// Name or path.
     pub name: String,
-    /// What the file holds; `None` for a crystal of the program, and before it was read.
+    /// Text of the file; `None` for a crystal of the program, and before the file was read.
     pub text: Option<String>,
 }
 
 impl CrystalSource {
-    /// One of the program's crystals, or a path yet to be read.
+    /// Names a crystal of the program, or a path that has not been read yet.
     pub fn new(name: &str) -> Self {
         CrystalSource { name: name.to_owned(), text: None }
     }
 
-    /// Reads the file, if it is one and not read before.
+    /// Reads the file, if the name is a path and the file was not read before.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a name that is neither, [`Error::Io`].
+    /// [`Error::Invalid`] for a name that is neither a crystal nor a path, [`Error::Io`].
     pub fn read(&mut self, folder: &Path) -> Result<()> {
         if self.text.is_some() || crystals::text(&self.name).is_some() {
             return Ok(());
@@ -46,7 +46,7 @@ impl CrystalSource {
         Ok(())
     }
 
-    /// What there is to say of a file of the user's: what was left out of it, and where it contradicts itself.
+    /// Returns warnings about a file of the user: what was left out of it, and where it contradicts itself.
     ///
     /// # Errors
     /// As [`CrystalSource::structure`].
@@ -57,7 +57,7 @@ impl CrystalSource {
         Ok(read.notes.into_iter().map(|note| format!("{}: {note}", self.name)).collect())
     }
 
-    /// The crystal.
+    /// Returns the crystal.
     ///
     /// # Errors
     /// [`Error::Parse`] with the line of the file; [`Error::Invalid`] for an unknown name, or a file

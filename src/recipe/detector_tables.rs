@@ -1,4 +1,4 @@
-//! The table `[detector]`, or several `[[detector]]`: the annuli that a world shows.
+//! The table `[detector]`, or several `[[detector]]`: the annular detectors of a world.
 
 use std::fmt;
 
@@ -9,13 +9,13 @@ use serde::{Deserialize as DeriveDeserialize, Serialize};
 use super::fault::{Checked, fault, within};
 use crate::detect::Detector;
 
-/// The name of a detector that has none of its own.
+/// Name of a detector for which the recipe gives none.
 const USUAL_NAME: &str = "HAADF";
-/// Detectors of a recipe, at most.
+/// Largest number of detectors in a recipe.
 const MOST_DETECTORS: usize = 16;
-/// Longest name of a detector.
+/// Greatest length of a detector's name.
 const LONGEST_NAME: usize = 32;
-/// Angles of a response, at most.
+/// Largest number of angles in a response.
 const MOST_ANGLES: usize = 1000;
 /// Largest angle of a detector in mrad, and least width.
 const LARGEST_MRAD: f64 = 1000.0;
@@ -29,7 +29,7 @@ pub struct DetectorTable {
     pub inner_mrad: f64,
     /// Outer angle in mrad.
     pub outer_mrad: f64,
-    /// Share of the electrons that it counts at some angles, `[[mrad, share], ...]`; all of them without.
+    /// Share of the electrons that the detector counts at some angles, `[[mrad, share], ...]`; without it all electrons are counted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub response: Vec<[f64; 2]>,
 }
@@ -38,13 +38,13 @@ pub struct DetectorTable {
 #[derive(Debug, Clone, PartialEq, Serialize, DeriveDeserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NamedDetectorTable {
-    /// Its name: that of its images in files.
+    /// Name of the detector, and of its images in files.
     pub name: String,
     /// Inner angle in mrad.
     pub inner_mrad: f64,
     /// Outer angle in mrad.
     pub outer_mrad: f64,
-    /// Share of the electrons that it counts at some angles, `[[mrad, share], ...]`; all of them without.
+    /// Share of the electrons that the detector counts at some angles, `[[mrad, share], ...]`; without it all electrons are counted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub response: Vec<[f64; 2]>,
 }
@@ -53,19 +53,19 @@ pub struct NamedDetectorTable {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum DetectorTables {
-    /// `[detector]`: one.
+    /// `[detector]`: one detector.
     One(DetectorTable),
-    /// `[[detector]]`: several, the main one first. All come from the same simulation.
+    /// `[[detector]]`: several detectors, the main one first. All images come from one simulation.
     Several(Vec<NamedDetectorTable>),
 }
 
 impl DetectorTables {
-    /// One detector without a name.
+    /// Makes one detector without a name.
     pub fn one(inner_mrad: f64, outer_mrad: f64) -> Self {
         DetectorTables::One(DetectorTable { inner_mrad, outer_mrad, response: Vec::new() })
     }
 
-    /// The detectors, the main one first; at least one in a checked recipe.
+    /// Returns the detectors, the main one first; at least one in a checked recipe.
     pub fn all(&self) -> Vec<Detector> {
         match self {
             DetectorTables::One(d) => {
@@ -82,7 +82,7 @@ impl DetectorTables {
         }
     }
 
-    /// How many there are.
+    /// Returns the number of detectors.
     pub fn count(&self) -> usize {
         match self {
             DetectorTables::One(_) => 1,
@@ -90,7 +90,7 @@ impl DetectorTables {
         }
     }
 
-    /// The same with the main detector alone.
+    /// Returns the table with the main detector alone.
     #[must_use]
     pub fn main_alone(&self) -> Self {
         match self {
@@ -108,14 +108,14 @@ impl<'de> Deserialize<'de> for DetectorTables {
     }
 }
 
-/// Tells a table from an array of tables, so that errors are those of the one that was written.
+/// Distinguishes a table from an array of tables, so that errors describe the form that was written.
 struct TableOrArray;
 
 impl<'de> Visitor<'de> for TableOrArray {
     type Value = DetectorTables;
 
     fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        // What the name stands for is put in its place where errors are put into words.
+        // Error messages replace the name of the type with the keys of the table.
         f.write_str("struct DetectorTable")
     }
 
@@ -128,7 +128,7 @@ impl<'de> Visitor<'de> for TableOrArray {
     }
 }
 
-/// Limits of names and angles.
+/// Checks the limits of names and angles.
 pub fn check_detectors(detectors: &DetectorTables) -> Checked {
     let tables = match detectors {
         DetectorTables::One(d) => {
@@ -167,7 +167,7 @@ pub fn check_detectors(detectors: &DetectorTables) -> Checked {
     Ok(())
 }
 
-/// Angles rise, shares are shares, and some electrons are counted.
+/// Checks that angles rise, that shares lie between 0 and 1, and that some electrons are counted.
 fn check_response(response: &[[f64; 2]]) -> Checked {
     let angles = response.iter().all(|[angle, _]| (0.0..=LARGEST_MRAD).contains(angle));
     let shares = response.iter().all(|[_, share]| (0.0..=1.0).contains(share));
@@ -183,7 +183,7 @@ fn check_response(response: &[[f64; 2]]) -> Checked {
     fault("detector.response", format!("{response:?}"), expected)
 }
 
-/// The name becomes that of a group in files.
+/// Checks a name, which becomes the name of a group in files.
 fn check_name(name: &str) -> Checked {
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
     let begins = name.starts_with(|c: char| c.is_ascii_alphanumeric());

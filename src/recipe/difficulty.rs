@@ -9,11 +9,11 @@ use crate::error::{Error, Result};
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Difficulty {
-    /// Many defects, much dose.
+    /// Many defects, high dose.
     Easy,
     /// Fewer defects and less dose than easy, more than hard.
     Medium,
-    /// Few defects, little dose.
+    /// Few defects, low dose.
     Hard,
 }
 
@@ -21,7 +21,7 @@ impl Difficulty {
     /// All tiers.
     pub const ALL: [Difficulty; 3] = [Difficulty::Easy, Difficulty::Medium, Difficulty::Hard];
 
-    /// The name that recipes and the command line use.
+    /// Returns the name that recipes and the command line use.
     pub fn name(self) -> &'static str {
         match self {
             Difficulty::Easy => "easy",

@@ -4,7 +4,7 @@ use crate::error::Error;
 pub use crate::setting::Fault;
 use crate::structure::elements;
 
-/// What a check returns.
+/// Result of a check.
 pub type Checked<T = ()> = std::result::Result<T, Fault>;
 
 pub fn within(key: &str, value: f64, low: f64, high: f64) -> Checked {
@@ -36,7 +36,7 @@ pub fn one_of(key: &str, symbol: &String, elements: &[String]) -> Checked {
     }
 }
 
-/// The symbol of an element, in the usual spelling, other than that which it replaces.
+/// Checks the symbol of a guest element: its usual spelling, and that it differs from the element that it replaces.
 pub fn check_guest(key: &str, guest: &str, host: &str) -> Checked {
     let known = elements::atomic_number(guest).map(elements::symbol);
     if known.ok() != Some(guest) {
@@ -48,7 +48,7 @@ pub fn check_guest(key: &str, guest: &str, host: &str) -> Checked {
     }
 }
 
-/// An error of the crystal as a fault of the key that it comes from.
+/// Converts an error of the crystal to a fault of the key that it comes from.
 pub fn crystal_fault(table: &str, error: Error) -> Fault {
     let sibling = |name: &str| match table.rsplit_once('.') {
         Some((parent, _)) => format!("{parent}.{name}"),

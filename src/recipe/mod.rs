@@ -1,7 +1,7 @@
-//! Recipes: what a world is made of, as TOML with one table per difficulty.
+//! Recipes: descriptions of worlds, as TOML with one table per difficulty.
 //!
-//! A [`Recipe`] holds what is written; a [`CheckedRecipe`] has been held against all limits, with its crystals read, and is
-//! the only way to a specimen.
+//! A [`Recipe`] holds the values as they are written. A [`CheckedRecipe`] has been checked against all limits, with its crystals read;
+//! specimens are only made from checked recipes.
 
 mod atoms_recipe;
 pub mod atoms_table;

@@ -1,4 +1,4 @@
-//! The table `[optics]`: the probe, and what tilts or spreads it.
+//! The table `[optics]`: the probe, the tilt of the specimen, and the spread of source and focus.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ pub struct OpticsTable {
     /// Defocus from the entrance surface in Angstrom; positive is underfocus, with the focus deeper in the specimen.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub defocus_angstrom: f64,
-    /// Mistilt (x, y) of the specimen in mrad: see [`Optics::mistilt_mrad`].
+    /// Mistilt (x, y) of the specimen in mrad (see [`Optics::mistilt_mrad`]).
     #[serde(default, skip_serializing_if = "are_zero")]
     pub mistilt_mrad: [f64; 2],
     /// Standard deviation of the focus in Angstrom.
@@ -30,13 +30,13 @@ pub struct OpticsTable {
     /// Full width at half maximum of the electron source in Angstrom; 0 is a point.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub source_fwhm_angstrom: f64,
-    /// Share of the source in long tails: see [`Source::lorentz_share`].
+    /// Share of the source in long tails (see [`Source::lorentz_share`]).
     #[serde(default, skip_serializing_if = "is_zero")]
     pub source_lorentz_share: f64,
     /// Aberrations by name, `C12` to `C56`, in Angstrom.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub aberrations_angstrom: BTreeMap<String, f64>,
-    /// Their azimuths in rad; 0 for those left out.
+    /// Azimuths of the aberrations in rad; 0 for aberrations without a value.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub azimuths_rad: BTreeMap<String, f64>,
 }
@@ -50,7 +50,7 @@ fn are_zero(values: &[f64; 2]) -> bool {
 }
 
 impl OpticsTable {
-    /// What forms the probe. Aberrations whose name is not known are left out: checked recipes have none.
+    /// Returns the optics of the probe. Aberrations whose name is not known are left out; a checked recipe has none.
     pub fn optics(&self) -> Optics {
         let mut aberrations = Aberrations::defocus(self.defocus_angstrom);
         let one = |(name, value): (&String, &f64)| self.aberration(name, *value).ok();
@@ -65,7 +65,7 @@ impl OpticsTable {
         }
     }
 
-    /// The electron source; `None` for a point.
+    /// Returns the electron source; `None` for a point.
     pub fn source(&self) -> Option<Source> {
         let (fwhm_angstrom, lorentz_share) = (self.source_fwhm_angstrom, self.source_lorentz_share);
         (fwhm_angstrom != 0.0).then_some(Source { fwhm_angstrom, lorentz_share })
@@ -77,7 +77,7 @@ impl OpticsTable {
     }
 }
 
-/// Limits of its values.
+/// Checks the limits of the table's values.
 pub fn check_optics(optics: &OpticsTable) -> Checked {
     within("optics.energy_kv", optics.energy_kv, 10.0, 1500.0)?;
     within("optics.convergence_mrad", optics.convergence_mrad, 0.1, 100.0)?;
@@ -119,7 +119,7 @@ pub fn check_optics(optics: &OpticsTable) -> Checked {
     within("optics.source_lorentz_share", optics.source_lorentz_share, 0.0, 1.0)
 }
 
-/// An error of the engine as a fault of a key.
+/// Converts an error of the engine to a fault of a key.
 fn of(key: &str, value: impl ToString, error: Error) -> super::fault::Fault {
     let (value, expected) = match error {
         Error::Invalid { value, expected, .. } => (value, expected),

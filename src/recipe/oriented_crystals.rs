@@ -1,4 +1,4 @@
-//! The crystals of a recipe, read and turned: what checking has found and specimens are built from.
+//! The crystals of a recipe, read and oriented by the check, from which specimens are built.
 
 use std::sync::Arc;
 
@@ -14,28 +14,28 @@ use crate::structure::{LabelledAtoms, Structure, direction};
 pub enum OrientedCrystals {
     /// A crystal whose atoms stand in columns along the beam.
     Columns {
-        /// In a box whose z axis is the zone axis.
+        /// The crystal in a box whose z axis is the zone axis.
         structure: Structure,
-        /// The same as columns.
+        /// The crystal as columns.
         columns: ColumnCrystal,
         /// The second phase of domains, or the end member of an alloy, in such a box.
         second: Option<Structure>,
     },
-    /// The metal of which particles are made.
+    /// The metal of the particles.
     Particles {
         /// Atomic number.
         number: u8,
-        /// Its lattice and surface.
+        /// Lattice and surface of the metal.
         metal: Metal,
     },
     /// The atoms of a file.
     Atoms(Arc<LabelledAtoms>),
 }
 
-/// A crystal turned so that the beam runs along `zone_axis`.
+/// Orients a crystal so that the beam runs along `zone_axis`.
 ///
 /// # Errors
-/// As [`Structure::oriented`], and those of the crystal's file.
+/// As [`Structure::oriented`], and errors of the crystal's file.
 pub fn oriented(
     crystal: &CrystalSource,
     zone_axis: &str,

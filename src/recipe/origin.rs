@@ -1,4 +1,4 @@
-//! Where the values of a recipe were written, so that errors can name the line or the change at fault.
+//! The origin of a recipe's values, so that errors can name the line or the change at fault.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,15 +11,15 @@ use super::toml_errors::{explain, unknown_key};
 use crate::error::Error;
 use crate::error::Result;
 
-/// The text that a recipe was read from, and the changes made since. It plays no part in what a recipe is, so
-/// all origins are equal.
+/// The text that a recipe was read from, and the changes made since. The origin does not count when recipes are compared: all origins are
+/// equal.
 #[derive(Debug, Clone, Default)]
 pub struct RecipeOrigin {
-    /// The text; none for a recipe that was put together otherwise.
+    /// The text; `None` for a recipe that does not come from a text.
     pub(super) text: Option<Arc<RecipeText>>,
-    /// The changes, in their order.
+    /// The changes, in the order in which they were made.
     pub(super) changes: Vec<Override>,
-    /// The folder that the text was read from; files that it names may lie there.
+    /// The folder that the text was read from, which may also hold the files that it names.
     pub(super) folder: PathBuf,
 }
 
@@ -29,19 +29,20 @@ impl PartialEq for RecipeOrigin {
     }
 }
 
-/// What is said of an array that stands where a table is expected.
+/// Message about an array in place of a table.
 pub(super) const NO_ARRAY: &str = "expected a table of keys and values, found an array";
 
 /// The keys of a recipe that may be arrays of tables.
 const ARRAYS: [&str; 2] = ["detector", "defects"];
 
-/// The first key of a recipe that has an array as its value. Arrays stand in tables only, but those of detectors and defects; serde would take
+/// Returns the first key of a recipe with an array as its value, if that is not allowed. Arrays lie inside tables, except the arrays of
+/// detectors and defects; serde would read an array as a table whose values come in the order of the source.
 /// one for a table whose values stand in the order of the source.
 pub(super) fn array_for_table(table: &toml::Table) -> Option<&str> {
     table
         .iter()
         .find(|(key, value)| match value {
-            // Of tables; what else stands in it is told where it is read.
+            // Arrays of tables: other faults in them are reported when they are read.
             toml::Value::Array(list) if ARRAYS.contains(&key.as_str()) => {
                 list.iter().any(toml::Value::is_array)
             }
@@ -53,16 +54,16 @@ pub(super) fn array_for_table(table: &toml::Table) -> Option<&str> {
 /// The text of a recipe.
 #[derive(Debug)]
 pub struct RecipeText {
-    /// Its file, or what stands for it in errors.
+    /// Path of the file, or the name that errors give in its place.
     pub path: PathBuf,
-    /// TOML.
+    /// The text, in TOML.
     pub text: String,
     /// The tier that was chosen.
     pub difficulty: Option<Difficulty>,
 }
 
 impl RecipeText {
-    /// The table of the resolved recipe: that of the tier laid over the common values.
+    /// Returns the table of the resolved recipe: the values of the tier replace the common values.
     ///
     /// # Errors
     /// [`Error::Parse`] with the line.
@@ -82,7 +83,7 @@ impl RecipeText {
         }
         if table.get("structure").and_then(toml::Value::as_str) == Some(StructureKind::Atoms.name())
         {
-            // Atoms of a file have no crystal and lie as they lie.
+            // The atoms of a file have no crystal, and keep their orientation.
             for key in ["zone_axis", "crystal"] {
                 table.entry(key).or_insert_with(|| NO_CRYSTAL.into());
             }
@@ -96,7 +97,7 @@ impl RecipeText {
         Error::parse(&self.path, line, error.message())
     }
 
-    /// The table of the chosen difficulty.
+    /// Returns the table of the chosen tier.
     fn tier(
         &self,
         tiers: Option<toml::Value>,
@@ -134,7 +135,7 @@ impl RecipeText {
         }
     }
 
-    /// An error of deserialisation.
+    /// Converts an error of deserialisation.
     pub fn value_error(&self, error: &toml::de::Error) -> Error {
         let (key, explained) = explain(error);
         let last = key.as_deref().and_then(|key| key.rsplit('.').next());
@@ -145,8 +146,7 @@ impl RecipeText {
         Error::parse(&self.path, self.line_of(key), unknown_key(key, known))
     }
 
-    /// The line that mentions `key`: in the table of the difficulty if there, else the first. 0 if
-    /// there is none.
+    /// Returns the line that mentions `key`: a line in the table of the tier if there is one, else the first line. 0 if no line does.
     pub fn line_of(&self, key: &str) -> usize {
         let word = |c: char| c.is_alphanumeric() || c == '_' || c == '-';
         let mentions = |line: &str| {

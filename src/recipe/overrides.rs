@@ -1,10 +1,10 @@
-//! Values of a recipe that are changed from outside: `vacancies.rate=0.02`.
+//! Changes of a recipe's values from outside: `vacancies.rate=0.02`.
 
 use crate::error::{Error, Result};
 use std::str::FromStr;
 use toml::{Table, Value};
 
-/// A dotted key and the TOML value that it gets; `None` takes the key away.
+/// A dotted key and its new TOML value; `None` removes the key.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Override {
     text: String,
@@ -15,8 +15,7 @@ pub struct Override {
 impl FromStr for Override {
     type Err = Error;
 
-    /// Reads `key=value`. A value that is no TOML stands for itself as a string, since shells take
-    /// quotes away.
+    /// Reads `key=value`. A value that is no TOML is taken as a string, since shells remove quotes.
     fn from_str(text: &str) -> Result<Self> {
         let wrong = |message: &str| Err(Error::set(text, message));
         let Some((key, value)) = text.split_once('=') else {
@@ -34,7 +33,7 @@ impl FromStr for Override {
     }
 }
 
-/// The names of a dotted key.
+/// Splits a dotted key into its names.
 fn dotted(text: &str, key: &str) -> Result<Vec<String>> {
     let keys: Vec<String> =
         key.split('.').map(|k| k.trim().trim_matches(['"', '\'']).to_owned()).collect();
@@ -50,24 +49,24 @@ fn dotted(text: &str, key: &str) -> Result<Vec<String>> {
     }
 }
 
-/// What stands after the `=`.
+/// Returns the text after the `=`.
 fn value_text(text: &str) -> String {
     text.split_once('=').map_or("", |(_, value)| value).trim().to_owned()
 }
 
 impl Override {
-    /// Takes a value or a table out of a recipe.
+    /// Makes a change that removes a value or a table from a recipe.
     ///
     /// # Errors
-    /// [`Error::Set`] for what is no key.
+    /// [`Error::Set`] for a text that is no key.
     pub fn without(key: &str) -> Result<Self> {
         Ok(Override { text: key.to_owned(), keys: dotted(key, key)?, value: None })
     }
 
-    /// Lays the value over the table; tables are merged, other values replaced.
+    /// Applies the change to a table: tables are merged, other values replaced.
     ///
     /// # Errors
-    /// [`Error::Set`] for a key to be taken away that is not there.
+    /// [`Error::Set`] for removing a key that the table does not hold.
     pub(super) fn apply(&self, table: &mut Table) -> Result<()> {
         let Some(value) = &self.value else { return self.remove(table) };
         let nested = self.keys.iter().rev().fold(value.clone(), |value, key| {
@@ -88,7 +87,7 @@ impl Override {
         }
     }
 
-    /// Whether it sets `key` (dotted), a table that holds it, or a part of it.
+    /// Whether the change sets `key` (dotted), a table that holds it, or a part of it.
     pub(super) fn concerns(&self, key: &str) -> bool {
         let own = self.keys.join(".");
         let within = |whole: &str, part: &str| {
@@ -97,13 +96,13 @@ impl Override {
         within(&own, key) || within(key, &own)
     }
 
-    /// The error that it is at fault for.
+    /// Returns an error that names this change.
     pub(super) fn error(&self, message: impl Into<String>) -> Error {
         Error::set(&self.text, message)
     }
 }
 
-/// Lays `over` over `base`, table by table.
+/// Merges `over` into `base`, table by table; its values replace the values of `base`.
 pub fn merge(base: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (base.get_mut(&key), value) {

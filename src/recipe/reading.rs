@@ -1,4 +1,4 @@
-//! From TOML to a recipe: those that come with the program, files, and values changed from outside.
+//! Reads recipes from TOML: recipes installed with the program, files, and changes of their values.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -13,10 +13,10 @@ use super::toml_errors::{explain, nearest};
 use crate::error::{Error, Result};
 use crate::files::whole_file;
 
-/// Bytes that a recipe may have: a resolved one holds the file of its crystal.
+/// Largest size of a recipe in bytes: a resolved recipe holds the file of its crystal.
 const LARGEST_FILE: usize = 64 << 20;
 
-/// Recipes that come with the program: name and text.
+/// Recipes that are installed with the program: name and text.
 const BUILT_IN: &[(&str, &str)] = &[
     ("srtio3", include_str!("../../generate/srtio3.toml")),
     ("batio3", include_str!("../../generate/batio3.toml")),
@@ -31,12 +31,12 @@ const BUILT_IN: &[(&str, &str)] = &[
 ];
 
 impl Recipe {
-    /// Names of the recipes that come with the program.
+    /// Returns the names of the recipes that are installed with the program.
     pub fn built_in() -> impl Iterator<Item = &'static str> {
         BUILT_IN.iter().map(|(name, _)| *name)
     }
 
-    /// A recipe that comes with the program, at one of its [`Recipe::tiers`].
+    /// Loads a recipe that is installed with the program, at one of its [`Recipe::tiers`].
     ///
     /// # Errors
     /// [`Error::Invalid`] for an unknown material, naming the nearest; [`Error::Parse`] for a tier
@@ -46,7 +46,7 @@ impl Recipe {
         Recipe::from_toml_str(&format!("generate/{name}.toml"), text, difficulty.into())
     }
 
-    /// The tiers of a recipe that comes with the program; none if it describes a single world.
+    /// Returns the tiers of a recipe that is installed with the program; empty if it describes a single world.
     ///
     /// # Errors
     /// [`Error::Invalid`] for an unknown material, naming the nearest.
@@ -55,7 +55,7 @@ impl Recipe {
         Recipe::tiers_in(material, text)
     }
 
-    /// The tiers of a recipe in TOML; `name` stands in errors.
+    /// Returns the tiers of a recipe in TOML; `name` is used in errors.
     ///
     /// # Errors
     /// [`Error::Invalid`] for bad syntax.
@@ -67,10 +67,10 @@ impl Recipe {
         Ok(Difficulty::ALL.into_iter().filter(there).collect())
     }
 
-    /// The tiers of a recipe in a file.
+    /// Returns the tiers of a recipe in a file.
     ///
     /// # Errors
-    /// As [`Recipe::tiers_in`], and those of reading.
+    /// As [`Recipe::tiers_in`], and errors of reading.
     pub fn tiers_of_file(path: &Path) -> Result<Vec<Difficulty>> {
         if is_atoms_file(path) {
             return Ok(Vec::new());
@@ -79,7 +79,7 @@ impl Recipe {
         Recipe::tiers_in(&path.display().to_string(), &text)
     }
 
-    /// Reads a recipe from a file; of a file of atoms, the recipe [`Recipe::of_atoms_file`].
+    /// Reads a recipe from a file; for a file of atoms, makes the recipe [`Recipe::of_atoms_file`].
     ///
     /// # Errors
     /// [`Error::Io`], or as [`Recipe::from_toml_str`] and [`Recipe::of_atoms_file`].
@@ -97,8 +97,8 @@ impl Recipe {
         Recipe::from_toml_str(&path.display().to_string(), &text, difficulty)
     }
 
-    /// Parses a recipe and applies the table of `difficulty`; `name` stands in errors. A text
-    /// without tables of difficulty (a resolved recipe) takes `None`.
+    /// Parses a recipe and applies the table of `difficulty`; `name` is used in errors. A text without tables of difficulty (a resolved
+    /// recipe) takes `None`.
     ///
     /// # Errors
     /// [`Error::Parse`] with the line, for bad syntax and unknown keys. Limits are checked by
@@ -122,7 +122,7 @@ impl Recipe {
         Ok(recipe)
     }
 
-    /// Reads the files of crystals that are not the program's, relative to `folder`.
+    /// Reads the files of the user's crystals, relative to `folder`.
     ///
     /// # Errors
     /// [`Error::Invalid`] for an unknown crystal, [`Error::Io`].
@@ -140,12 +140,12 @@ impl Recipe {
         }
     }
 
-    /// Finds the file of atoms relative to `folder`, and says what it holds.
+    /// Finds the file of atoms relative to `folder`, and records its digest.
     fn find_atoms(&mut self, folder: &Path) -> Result<()> {
         self.atoms.as_mut().map_or(Ok(()), |atoms| atoms.find(folder))
     }
 
-    /// The recipe with some values changed, in the order given.
+    /// Returns the recipe with some values changed, in the order given.
     ///
     /// # Errors
     /// [`Error::Set`] that names the change at fault.
@@ -174,7 +174,7 @@ impl Recipe {
     }
 }
 
-/// Name and text of a recipe that comes with the program.
+/// Returns name and text of a recipe that is installed with the program.
 fn built_in_text(material: &str) -> Result<(&'static str, &'static str)> {
     let known = BUILT_IN.iter().find(|(name, _)| *name == material.to_ascii_lowercase());
     known.copied().ok_or_else(|| {
@@ -189,8 +189,8 @@ fn built_in_text(material: &str) -> Result<(&'static str, &'static str)> {
     })
 }
 
-/// The error of the change that a fault of `key` comes from: the last that sets it, or a part of it,
-/// or else the last of all.
+/// Returns the error of the change that causes a fault of `key`: the last change that sets the key, or a part of it, or else the last of
+/// all.
 fn at_fault(changes: &[Override], key: Option<String>, message: String) -> Error {
     let named = key.and_then(|key| changes.iter().rev().find(|c| c.concerns(&key)));
     match named.or(changes.last()) {

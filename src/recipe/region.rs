@@ -14,25 +14,25 @@ impl Region {
     pub fn contains(&self, [x, y]: [f64; 2]) -> bool {
         self.x[0] <= x && x < self.x[1] && self.y[0] <= y && y < self.y[1]
     }
-    /// The region with `nm` more on every side.
+    /// Returns the region extended by `nm` on every side.
     pub fn grown(&self, nm: f64) -> Region {
         Region { x: [self.x[0] - nm, self.x[1] + nm], y: [self.y[0] - nm, self.y[1] + nm] }
     }
-    /// The region moved by (x, y) in nm.
+    /// Returns the region moved by (x, y) in nm.
     pub fn moved(&self, [x, y]: [f64; 2]) -> Region {
         Region { x: self.x.map(|v| v + x), y: self.y.map(|v| v + y) }
     }
-    /// The part that also lies in `other`; may be empty.
+    /// Returns the part that also lies in `other`; may be empty.
     pub fn intersection(&self, other: &Region) -> Region {
         let cut = |a: [f64; 2], b: [f64; 2]| [a[0].max(b[0]), a[1].min(b[1])];
         Region { x: cut(self.x, other.x), y: cut(self.y, other.y) }
     }
-    /// Whether any place lies in both.
+    /// Whether both regions share any place.
     pub fn meets(&self, other: &Region) -> bool {
         let both = self.intersection(other);
         both.x[0] < both.x[1] && both.y[0] < both.y[1]
     }
-    /// The area that the pixels `rows` x `columns` from pixel (row, column) `first` cover.
+    /// Returns the area that the pixels `rows` x `columns` from pixel (row, column) `first` cover.
     pub fn of_pixels(first: [usize; 2], shape: [usize; 2], pixel_nm: f64) -> Region {
         let edge = |p: usize| (p as f64 - 0.5) * pixel_nm;
         let range = |i: usize| [edge(first[i]), edge(first[i] + shape[i])];

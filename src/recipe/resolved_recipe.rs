@@ -1,4 +1,4 @@
-//! What a recipe holds.
+//! The contents of a recipe.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,28 +14,27 @@ use crate::acquisition::AcquisitionTable;
 use crate::damage::DamageTable;
 use crate::error::{Error, Result};
 
-/// A resolved recipe: every value that decides what a world holds. The values are as they were written;
-/// [`Recipe::checked`] holds them against their limits.
+/// A resolved recipe: every value that decides the contents of a world. The values are as they were written; [`Recipe::checked`] checks
+/// them against their limits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Recipe {
     /// Version of the recipe format.
     pub version: u32,
-    /// Identifies the material: `srtio3`.
+    /// Identifier of the material: `srtio3`.
     pub id: String,
     /// The tier that this recipe was resolved for, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tier: Option<Difficulty>,
-    /// Where readers should say that the data come from, where it matters: `synthetic_replay`. Becomes
-    /// an attribute of the file.
+    /// Origin of the data that readers should state, where it matters: `synthetic_replay`. It becomes an attribute of the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
-    /// Which specimen builder the recipe is for.
+    /// Specimen builder of the recipe.
     pub structure: StructureKind,
     /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`; `none` for particles and for
     /// the atoms of a file.
     pub zone_axis: String,
-    /// Direction along +y, perpendicular to the zone; the shortest such when absent.
+    /// Direction along +y, perpendicular to the zone axis; the shortest such direction when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub y_axis: Option<String>,
     /// Seed of all random numbers.
@@ -82,27 +81,27 @@ pub struct Recipe {
     /// Amorphous carbon on the faces of the specimen.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub surface: Option<SurfaceTable>,
-    /// How the image is recorded. Without it the tiles are the noise-free image with Poisson noise.
+    /// Scan and detector of a recording. Without it the tiles are the noise-free image with Poisson noise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub acquisition: Option<AcquisitionTable>,
-    /// What the beam does to the specimen of a live world. Images and worlds show it before any electron has hit it.
+    /// Damage by the beam in a live world. Images and worlds show the specimen before any electron has hit it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub damage: Option<DamageTable>,
-    /// Where the values were written, for errors: no part of what a recipe is.
+    /// Origin of the values, for errors; it does not count when recipes are compared.
     #[serde(skip)]
     pub origin: RecipeOrigin,
 }
 
 impl Recipe {
-    /// All crystals that it names: the first, and the second phase or end member.
+    /// Returns all crystals that the recipe names: the first, and the second phase or end member.
     pub fn crystals(&self) -> impl Iterator<Item = &CrystalSource> {
         let second = self.domains.as_ref().map(|domains| &domains.crystal);
         let end_member = self.alloy.as_ref().map(|alloy| &alloy.end_member);
         std::iter::once(&self.crystal).chain(second).chain(end_member)
     }
 
-    /// The same specimen and pixel, but only the central `rows` x `columns` tiles. Where the
-    /// difference is odd, the part lies half a tile up and left of the centre.
+    /// Returns a recipe of the central `rows` x `columns` tiles, with the same specimen and pixel. If the difference is odd, the part lies
+    /// half a tile up and left of the centre.
     ///
     /// # Errors
     /// [`Error::Invalid`] when the grid is empty or larger than the full field.
@@ -120,7 +119,7 @@ impl Recipe {
         Ok(self)
     }
 
-    /// The resolved recipe as TOML; [`Recipe::from_toml_str`] with no difficulty reads it back.
+    /// Returns the resolved recipe as TOML; [`Recipe::from_toml_str`] with no difficulty reads it back.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).unwrap_or_else(|e| format!("# cannot be written as TOML: {e}\n"))
     }

@@ -1,4 +1,4 @@
-//! A recipe told by one that comes with the program, and what differs from it.
+//! A recipe expressed as changes of a recipe that is installed with the program.
 
 use toml::{Table, Value};
 
@@ -7,33 +7,33 @@ use super::overrides::Override;
 use super::resolved_recipe::Recipe;
 use crate::error::Result;
 
-/// What has to be done to a recipe that comes with the program.
+/// A change of a recipe that is installed with the program.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RecipeChange {
-    /// Set a value, as text: `vacancies.rate=0.02`.
+    /// Sets a value, as text: `vacancies.rate=0.02`.
     Set(String),
-    /// Take a value or a table away.
+    /// Removes a value or a table.
     Unset(String),
 }
 
-/// A recipe that comes with the program, and what makes another one of it.
+/// A recipe that is installed with the program, and the changes that turn it into another recipe.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ShippedRecipe {
-    /// Its name.
+    /// Name of the installed recipe.
     pub material: String,
-    /// Its tier, if it has any.
+    /// Tier of the installed recipe, if it has tiers.
     pub tier: Option<Difficulty>,
-    /// What is changed, in this order: first what is taken away.
+    /// Changes in their order: removed values first.
     pub changes: Vec<RecipeChange>,
-    /// Another seed.
+    /// Seed, if it is changed.
     pub seed: Option<u64>,
-    /// Rows and columns of the central tiles that are taken of the whole field.
+    /// Rows and columns of the central tiles, if not the whole field is taken.
     pub grid: Option<[usize; 2]>,
 }
 
 impl Recipe {
-    /// The same recipe, told by the one of its name that comes with the program; `None` where there is none, or where a
-    /// difference fits on no line, such as a crystal of one's own.
+    /// Expresses this recipe as changes of the installed recipe of its name. `None` if there is none, or if a difference cannot be written
+    /// on one line, for example a crystal of the user.
     pub fn as_shipped(&self) -> Option<ShippedRecipe> {
         let shipped = Recipe::load(&self.id, self.tier).ok()?;
         let table = |recipe: &Recipe| toml::from_str::<Table>(&recipe.to_toml()).ok();
@@ -57,10 +57,10 @@ impl Recipe {
 }
 
 impl ShippedRecipe {
-    /// The recipe that it tells.
+    /// Returns the recipe that results from the changes.
     ///
     /// # Errors
-    /// Those of [`Recipe::load`], [`Recipe::with_overrides`] and [`Recipe::with_grid`].
+    /// Errors of [`Recipe::load`], [`Recipe::with_overrides`] and [`Recipe::with_grid`].
     pub fn recipe(&self) -> Result<Recipe> {
         let changes = self.changes.iter().map(RecipeChange::to_override);
         let shipped = Recipe::load(&self.material, self.tier)?;
@@ -82,7 +82,8 @@ impl RecipeChange {
     }
 }
 
-/// Adds what makes the table `wanted` of `base`, below the dotted key `within`; `None` where that fits on no line.
+/// Adds the changes that turn the table `base` into `wanted`, below the dotted key `within`; `None` if a change cannot be written on one
+/// line.
 fn differences(
     within: &str,
     base: &Table,
@@ -102,7 +103,7 @@ fn differences(
             (Some(Value::Table(old)), Value::Table(new)) => {
                 differences(&dotted(key), old, new, changes)?;
             }
-            // Values one by one read better than a table on a line.
+            // Separate values are easier to read than a table on one line.
             (None, Value::Table(new)) if !new.is_empty() => {
                 differences(&dotted(key), &empty, new, changes)?;
             }
@@ -112,7 +113,7 @@ fn differences(
     Some(())
 }
 
-/// `key=value`, a word without quotes where that means the same.
+/// Writes `key=value`, with a word without quotes if that has the same meaning.
 fn setting(key: &str, value: &Value) -> Option<String> {
     if let Value::String(word) = value {
         let plain = |c: char| c.is_ascii_alphanumeric() || "_-".contains(c);
@@ -125,7 +126,7 @@ fn setting(key: &str, value: &Value) -> Option<String> {
     means(&long, value).then_some(long)
 }
 
-/// Whether a change sets its key to just that value.
+/// Whether a change sets its key to exactly that value.
 fn means(change: &str, value: &Value) -> bool {
     let key = change.split('=').next().unwrap_or_default();
     let mut table = Table::new();

@@ -27,7 +27,7 @@ pub enum StructureKind {
 }
 
 impl StructureKind {
-    /// The name that recipes use.
+    /// Returns the name that recipes use.
     pub fn name(self) -> &'static str {
         match self {
             StructureKind::Grains => "grains",
@@ -39,7 +39,7 @@ impl StructureKind {
     }
 }
 
-/// Pixels that one pixel of a world's overview averages, along each axis.
+/// Number of pixels along each axis that one pixel of a world's overview averages.
 pub const OVERVIEW_FACTOR: usize = 8;
 
 /// Field of view, tiles and thickness.
@@ -57,8 +57,8 @@ pub struct Field {
     pub tile_px: usize,
     /// Pixels shared by neighbouring tiles.
     pub overlap_px: usize,
-    /// Thickness along the beam in nm, rounded to whole cells of a crystal; of particles on a film, that of
-    /// the film; of the atoms of a file, at least their extent.
+    /// Thickness along the beam in nm, rounded to whole cells of a crystal. For particles on a film: the thickness of the film. For the
+    /// atoms of a file: at least their extent.
     pub thickness_nm: f64,
 }
 
@@ -73,13 +73,13 @@ pub struct Boundaries {
     /// Coincidence index; the exact coincidence angle then replaces `misorientation_deg`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma: Option<u32>,
-    /// Least distance per pair of elements (`"Ti-O"`) in Angstrom. Pairs not named keep
-    /// [`DEFAULT_MIN_DISTANCE`] of their shortest distance in the crystal.
+    /// Least distance per pair of elements (`"Ti-O"`) in Angstrom. Other pairs keep [`DEFAULT_MIN_DISTANCE`] times their shortest distance
+    /// in the crystal.
     #[serde(default)]
     pub min_distance_angstrom: BTreeMap<String, f64>,
 }
 
-/// Least distance at a boundary over the shortest in the crystal, for pairs that a recipe leaves out.
+/// Least distance at a boundary divided by the shortest in the crystal, for pairs that a recipe leaves out.
 pub const DEFAULT_MIN_DISTANCE: f64 = 0.8;
 
 /// Domains of two phases that share one lattice of atoms, side by side along x; the first phase is
@@ -89,9 +89,9 @@ pub const DEFAULT_MIN_DISTANCE: f64 = 0.8;
 pub struct DomainTable {
     /// Crystal of the second phase: the same atoms, moved by less than a tenth of the cell.
     pub crystal: CrystalSource,
-    /// Its direction along the beam.
+    /// Direction of the second phase along the beam.
     pub zone_axis: String,
-    /// Its direction along +y.
+    /// Direction of the second phase along +y.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub y_axis: Option<String>,
     /// Names of the two phases.
@@ -105,9 +105,9 @@ pub struct DomainTable {
     pub waviness: f64,
 }
 
-/// An alloy: a guest element on some sites of a host element. The crystal grows along +x on a substrate
-/// of the pure crystal and is coherent with it: across x it has the substrate's lattice parameters, along x
-/// those of Vegard's law, lengthened as elasticity asks if stiffness constants are given.
+/// An alloy: a guest element on some sites of a host element. The crystal grows along +x on a substrate of the pure crystal and is coherent
+/// with it: across x it has the lattice parameters of the substrate. Along x it has the parameter of Vegard's law, lengthened by elastic
+/// strain if stiffness constants are given.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Alloy {
@@ -117,7 +117,7 @@ pub struct Alloy {
     pub guest: String,
     /// Mean fraction of guests on the host's sites of the full field.
     pub rate: f64,
-    /// How the composition depends on x.
+    /// Composition as a function of x.
     pub profile: CompositionProfile,
     /// The crystal with all hosts replaced: same structure, other lattice parameters.
     pub end_member: CrystalSource,
@@ -129,7 +129,7 @@ pub struct Alloy {
     pub c33_gpa: Option<[f64; 2]>,
 }
 
-/// How the composition of an alloy depends on x.
+/// Composition of an alloy as a function of x.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CompositionProfile {
@@ -145,7 +145,7 @@ pub enum CompositionProfile {
 pub struct Wells {
     /// Number of wells.
     pub count: usize,
-    /// Width of each in nm.
+    /// Width of each well in nm.
     pub width_nm: f64,
     /// Standard deviation of the interfaces about their mean planes, in nm.
     pub roughness_nm: f64,
@@ -162,15 +162,15 @@ pub struct Particles {
     pub count: usize,
     /// Shapes, in equal shares.
     pub morphologies: Vec<Morphology>,
-    /// Least and greatest diameter in nm: that of the sphere which as many atoms of the bulk metal fill. Between
-    /// them every diameter is as likely.
+    /// Least and greatest diameter in nm: the diameter of a sphere of bulk metal with the same number of atoms. Between them every diameter
+    /// is equally likely.
     pub diameter_nm: [f64; 2],
-    /// Greatest angle between the beam and a zone axis of the particle in degrees; all directions within are as likely. From
-    /// 90 on, all orientations are.
+    /// Greatest angle between the beam and a zone axis of the particle in degrees; all directions within it are equally likely. From 90 on,
+    /// all orientations are.
     pub max_tilt_deg: f64,
-    /// Least distance between the circles around two particles, seen along the beam, in nm.
+    /// Least distance between the circles around two particles, in projection along the beam, in nm.
     pub gap_nm: f64,
-    /// Surface energy of {100} over that of {111}.
+    /// Surface energy of {100} divided by the surface energy of {111}.
     pub surface_energy_ratio: f64,
     /// Distance of each particle's nearest atom from the carbon, in Angstrom.
     pub contact_angstrom: f64,
@@ -182,11 +182,11 @@ pub struct Particles {
 pub struct Vacancies {
     /// Symbol of the element that is missing.
     pub element: String,
-    /// Vacant fraction of all its sites.
+    /// Vacant fraction of all sites of the element.
     pub rate: f64,
     /// Share of the vacancies gathered about the boundaries.
     pub cluster_fraction: f64,
-    /// Standard deviation of their distance from the boundary in nm.
+    /// Standard deviation of the distance of gathered vacancies from the boundary in nm.
     pub cluster_sigma_nm: f64,
     /// Upper limit of the local vacancy probability.
     pub max_probability: f64,
@@ -203,7 +203,7 @@ pub struct Substitutions {
     pub element: String,
     /// Symbol of the element that replaces it.
     pub by: String,
-    /// Replaced fraction of all its sites.
+    /// Replaced fraction of all sites of the element.
     pub rate: f64,
 }
 
@@ -213,21 +213,21 @@ pub struct Substitutions {
 pub struct PointDefect {
     /// Symbol of the element concerned.
     pub element: String,
-    /// Symbol of the element that replaces it; the site is vacant without.
+    /// Symbol of the element that replaces it; without it the site is vacant.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
-    /// Fraction of all sites of the element that are such defects.
+    /// Fraction of all sites of the element that are defects of this kind.
     pub rate: f64,
 }
 
-/// Kinds of point defects in `[[defects]]`, at most.
+/// Largest number of kinds of point defects in `[[defects]]`.
 pub const MOST_POINT_DEFECTS: usize = 6;
 
 /// Thermal vibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PhononTable {
-    /// Number of frozen configurations averaged.
+    /// Number of frozen configurations that are averaged.
     pub configurations: usize,
     /// Standard deviation of each Cartesian component in Angstrom, per element.
     pub sigma_angstrom: BTreeMap<String, f64>,
@@ -242,45 +242,45 @@ pub struct Dose {
 }
 
 impl PhononTable {
-    /// Standard deviation of an element's displacements in Angstrom; 0 if the table leaves it out.
+    /// Returns the standard deviation of an element's displacements in Angstrom; 0 if the table leaves it out.
     pub fn sigma_angstrom(&self, number: u8) -> f64 {
         self.sigma_angstrom.get(elements::symbol(number)).copied().unwrap_or(0.0)
     }
 }
 
 impl Field {
-    /// Rows and columns of the tiles that are built.
+    /// Returns the rows and columns of the tiles that are built.
     pub fn built_grid(&self) -> [usize; 2] {
         self.crop.unwrap_or(self.grid)
     }
-    /// Height and width in pixels that `grid` tiles cover.
+    /// Returns height and width in pixels of `grid` tiles.
     pub fn pixels(&self, grid: [usize; 2]) -> [usize; 2] {
         grid.map(|n| n * self.stride_px() + self.overlap_px)
     }
-    /// Distance between neighbouring tiles in pixels.
+    /// Returns the distance between neighbouring tiles in pixels.
     pub fn stride_px(&self) -> usize {
         self.tile_px - self.overlap_px
     }
-    /// Edge of a (square) pixel in nm: width of the full field over its pixels.
+    /// Returns the edge of a (square) pixel in nm: width of the full field divided by its number of pixels.
     pub fn pixel_nm(&self) -> f64 {
         self.fov_nm[1] / self.pixels(self.grid)[1] as f64
     }
-    /// The area of the full field.
+    /// Returns the area of the full field.
     pub fn full_region(&self) -> Region {
         Region::of_pixels([0, 0], self.pixels(self.grid), self.pixel_nm())
     }
-    /// The area that is built.
+    /// Returns the area that is built.
     pub fn built_region(&self) -> Region {
         let shape = self.pixels(self.built_grid());
         Region::of_pixels(self.crop_origin_px(), shape, self.pixel_nm())
     }
-    /// Position (x, y) in nm of the full field of the centre of the first pixel that is built: positions in world files
-    /// count from there.
+    /// Returns the position (x, y), in nm of the full field, of the centre of the first pixel that is built. Positions in world files count
+    /// from there.
     pub fn origin_nm(&self) -> [f64; 2] {
         let [row, column] = self.crop_origin_px();
         [column, row].map(|p| p as f64 * self.pixel_nm())
     }
-    /// Row and column, in pixels of the full field, of the first pixel that is built.
+    /// Returns row and column, in pixels of the full field, of the first pixel that is built.
     pub fn crop_origin_px(&self) -> [usize; 2] {
         let built = self.built_grid();
         [0, 1].map(|i| (self.grid[i] - built[i]) / 2 * self.stride_px())

@@ -1,18 +1,18 @@
-//! Errors of TOML in the words of recipes.
+//! Describes errors of TOML with the keys of recipes.
 
 use super::atoms_table::AtomsTable;
 use super::detector_tables::{DetectorTable, NamedDetectorTable};
 use super::optics_table::OpticsTable;
 use super::tables::*;
 
-/// The candidate most like `key`, if any is similar.
+/// Returns the candidate most similar to `key`, if any is similar.
 pub fn nearest<'k>(key: &str, known: impl Iterator<Item = &'k str>) -> Option<&'k str> {
     let scored = known.map(|k| (strsim::jaro_winkler(key, k), k));
     scored.filter(|(score, _)| *score > 0.7).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| k)
 }
 
-/// The dotted key that an error of deserialisation is about, if any, and what to say of it; serde's
-/// list of fields yields the nearest known key.
+/// Returns the dotted key that an error of deserialisation is about, if any, and a message. From serde's list of fields the message
+/// suggests the nearest known key.
 pub fn explain(error: &toml::de::Error) -> (Option<String>, String) {
     let text = error.to_string();
     let place = text.lines().find_map(|l| l.strip_prefix("in `")?.strip_suffix('`'));
@@ -39,7 +39,7 @@ pub fn explain(error: &toml::de::Error) -> (Option<String>, String) {
     }
 }
 
-/// The message with the keys of a table in place of the name of its type in Rust.
+/// Replaces the name of a Rust type in a message with the keys of its table.
 fn with_keys(message: &str) -> String {
     let Some((before, name)) = message.split_once("expected struct ") else {
         return message.to_owned();
@@ -56,7 +56,7 @@ fn with_keys(message: &str) -> String {
     }
 }
 
-/// The keys of a table of recipes, by the name of its type: those that serde lists where it meets an unknown one.
+/// Returns the keys of a table of recipes, by the name of its type, from the list that serde gives for an unknown key.
 fn keys_of(name: &str) -> Vec<String> {
     fn known<T: serde::de::DeserializeOwned>() -> Vec<String> {
         let Err(error) = toml::from_str::<T>("no-such-key = 0") else { return Vec::new() };

@@ -1,4 +1,4 @@
-//! The size of a pixel from a spacing of the crystal, measured in the Fourier transform of the image.
+//! Calibrates the size of a pixel by a spacing of the crystal, measured in the Fourier transform of the image.
 
 use std::f64::consts::PI;
 
@@ -11,25 +11,25 @@ use crate::error::{Error, Result};
 use crate::fft::{Fft2, frequency, good_size};
 use crate::setting::Setting;
 
-/// Spacings may differ by so much from what the first guess of the pixel says.
+/// Largest relative difference of a spacing from its value with the first guess of the pixel.
 const REACH: f64 = 0.15;
-/// Pixels along an edge of the part that is transformed, at most.
+/// Largest number of pixels along an edge of the part that is transformed.
 const LARGEST_PX: usize = 4096;
-/// A peak is so many times as strong as the median about it. The greatest of a million values of noise is 20 times as strong.
+/// Least strength of a peak, divided by the median about it. The greatest of a million values of noise has 20 times the median.
 const LEAST_CONTRAST: f64 = 50.0;
-/// Peaks of the same family have this share of the strongest at least, ...
+/// Peaks of one family have at least this share of the strongest peak, ...
 const LEAST_SHARE: f64 = 0.05;
-/// ... its spacing to so much, ...
+/// ... its spacing to within this relative difference, ...
 const SAME_SPACING: f64 = 0.06;
-/// ... and another direction by so many degrees.
+/// ... and a direction that differs by at least this many degrees.
 const APART_DEG: f64 = 10.0;
-/// Periods of the spacing that the part has to hold.
+/// Least number of periods of the spacing in the part.
 const FEWEST_PERIODS: f64 = 6.0;
-/// A peak that the scan has smeared reaches over so many bins to each side ...
+/// A peak that the scan has smeared extends over up to this many bins to each side ...
 const PEAK_BINS: i64 = 3;
-/// ... as far as it is so many times as strong as the median.
+/// ... as far as it exceeds this multiple of the median.
 const PEAK_CONTRAST: f64 = 8.0;
-/// Periods in a pixel at most: beyond, the transform ends.
+/// Largest number of periods in a pixel, where the transform ends.
 const NYQUIST: f64 = 0.5;
 
 /// A peak of the Fourier transform.
@@ -38,32 +38,31 @@ const NYQUIST: f64 = 0.5;
 pub struct CalibrationPeak {
     /// Distance of the planes in pixels.
     pub spacing_px: f64,
-    /// Direction of their normal, from the axis of the columns (x) to that of the rows (y).
+    /// Direction of the planes' normal, from the axis of the columns (x) to the axis of the rows (y).
     pub direction_deg: f64,
-    /// How many times as strong as the median about it.
+    /// Strength divided by the median about the peak.
     pub contrast: f64,
 }
 
-/// How large a pixel is, by a known spacing.
+/// The size of a pixel from a known spacing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Calibration {
     /// The known spacing.
     pub spacing_nm: f64,
-    /// Edge of a pixel before.
+    /// Edge of a pixel before the calibration.
     pub first_guess_nm: f64,
-    /// Edge of a pixel.
+    /// Edge of a pixel after the calibration.
     pub pixel_nm: f64,
-    /// What it was measured on, the strongest first: the mean of their frequencies counts.
+    /// The measured peaks, the strongest first; the mean of their frequencies is used.
     pub peaks: Vec<CalibrationPeak>,
 }
 
-/// Measures a known spacing in an image, [row, column], of which all values are finite. Peaks within 15 % of where
-/// `first_guess_nm`, the edge of a pixel, has them are looked for; the strongest counts, with those of other directions that have
-/// nearly its spacing.
+/// Measures a known spacing in an image, [row, column], with finite values. Peaks are searched within 15 % of the frequency that follows
+/// from `first_guess_nm`, the edge of a pixel. The strongest peak is used, with peaks in other directions of nearly the same spacing.
 ///
 /// # Errors
-/// [`Error::Invalid`] for a spacing that the image cannot show, and where no peak stands out.
+/// [`Error::Invalid`] for a spacing that the image cannot show, and if no peak is strong enough.
 pub fn calibrate(image: &Array2<f64>, spacing_nm: f64, first_guess_nm: f64) -> Result<Calibration> {
     let refuse =
         |expected: String| Err(Error::invalid(Setting::ReplaySpacingNm, spacing_nm, expected));
@@ -72,7 +71,7 @@ pub fn calibrate(image: &Array2<f64>, spacing_nm: f64, first_guess_nm: f64) -> R
     }
     let (rows, columns) = image.dim();
     let n = fast_length(rows.min(columns).min(LARGEST_PX));
-    // Periods in the part.
+    // Number of periods in the part.
     let expected = first_guess_nm / spacing_nm * n as f64;
     if expected < FEWEST_PERIODS || expected * (1.0 + REACH) > NYQUIST * n as f64 {
         return refuse(format!(
@@ -97,12 +96,12 @@ pub fn calibrate(image: &Array2<f64>, spacing_nm: f64, first_guess_nm: f64) -> R
     Ok(Calibration { spacing_nm, first_guess_nm, pixel_nm: spacing_nm * mean, peaks })
 }
 
-/// The greatest length up to `most` that transforms fast.
+/// Returns the greatest length up to `most` whose transform is fast.
 fn fast_length(most: usize) -> usize {
     (1..=most).rev().find(|n| good_size(*n, 1) == *n).unwrap_or(1)
 }
 
-/// Power of the middle of an image, n by n pixels, faded out towards its edges; (n, n), in FFT order.
+/// Returns the power of the middle of an image, n by n pixels, faded out towards its edges; [n, n], in FFT order.
 fn power_spectrum(image: &Array2<f64>, n: usize) -> Array2<f64> {
     let (rows, columns) = image.dim();
     let (top, left) = ((rows - n) / 2, (columns - n) / 2);
@@ -125,7 +124,7 @@ fn power_spectrum(image: &Array2<f64>, n: usize) -> Array2<f64> {
     })
 }
 
-/// The peaks of one family, whose frequencies (in periods) lie between two; the strongest first.
+/// Returns the peaks of one family with frequencies (in periods) between two limits, the strongest first.
 fn peaks(power: &Array2<f64>, [low, high]: [f64; 2]) -> Vec<CalibrationPeak> {
     let n = power.nrows();
     let mut about = Vec::new();
@@ -133,7 +132,7 @@ fn peaks(power: &Array2<f64>, [low, high]: [f64; 2]) -> Vec<CalibrationPeak> {
     for ((row, column), value) in power.indexed_iter() {
         let [ky, kx] = [row, column].map(|k| frequency(k, n));
         let length = (kx as f64).hypot(ky as f64);
-        // The other half is the same.
+        // The other half of the transform has the same power.
         let half = ky > 0 || (ky == 0 && kx > 0);
         if !half || !(low..=high).contains(&length) {
             continue;
@@ -181,7 +180,7 @@ fn wrapped(k: i64, n: usize) -> usize {
     k.rem_euclid(n as i64) as usize
 }
 
-/// The centre of mass (x, y) of a peak about its strongest bin.
+/// Returns the centre of mass (x, y) of a peak about its strongest bin.
 fn centre(power: &Array2<f64>, [kx, ky]: [i64; 2], median: f64) -> [f64; 2] {
     let n = power.nrows();
     let (mut sum, mut moments) = (0.0, [0.0; 2]);
@@ -219,7 +218,7 @@ mod tests {
     fn a_known_spacing_is_measured() {
         for (d, turn) in [(11.37, 3.0), (21.5, 17.0), (4.81, 40.0)] {
             let image = hexagonal(d, turn, 6.0);
-            // a true pixel of 0.27 / d, and a file that is wrong by 7 %
+            // A true pixel of 0.27 / d, and a file whose value is wrong by 7 %.
             let found = calibrate(&image, 0.27, 1.07 * 0.27 / d).unwrap();
             assert!((found.pixel_nm * d / 0.27 - 1.0).abs() < 1e-3, "{d}: {found:?}");
             assert_eq!(found.peaks.len(), 3, "{found:?}");

@@ -1,4 +1,4 @@
-//! Worlds of recorded images: a recorded image, calibrated, scaled and cut into tiles, with the places that its file lists.
+//! Makes worlds from recorded images: an image is calibrated, scaled and cut into tiles, with the places that its file lists.
 
 mod calibration;
 mod nearest_cells;

@@ -1,18 +1,18 @@
-//! The nearest of many points on an image.
+//! Finds the nearest of many points on an image.
 
 /// Points sorted into squares of an image.
 pub(super) struct NearestCells {
     points: Vec<[f64; 2]>,
     /// Edge of a square in pixels.
     edge: f64,
-    /// Squares along x and y.
+    /// Number of squares along x and y.
     count: [usize; 2],
     /// Numbers of the points in each square.
     squares: Vec<Vec<u32>>,
 }
 
 impl NearestCells {
-    /// Finite points (x, y) in pixels, in or beside an image of so many rows and columns.
+    /// Sorts finite points (x, y) in pixels, in or beside an image of this shape.
     pub fn new(points: Vec<[f64; 2]>, [rows, columns]: [usize; 2]) -> Self {
         let area = (rows * columns) as f64;
         let edge = (area / points.len().max(1) as f64).sqrt().max(1.0);
@@ -30,12 +30,12 @@ impl NearestCells {
         [0, 1].map(|k| ((place[k] / self.edge).max(0.0) as usize).min(self.count[k] - 1))
     }
 
-    /// The number of the point nearest to a place in the image; of equals the first. `None` without points.
+    /// Returns the number of the point nearest to a place in the image; among equally near ones the first. `None` without points.
     pub fn nearest(&self, place: [f64; 2]) -> Option<usize> {
         let [x, y] = self.square(place);
         let mut best: Option<(f64, u32)> = None;
         for ring in 0..=self.count[0].max(self.count[1]) {
-            // Points of this ring are at least so far away; those beside the image lie even farther than the squares they are in.
+            // Points of this ring are at least this far away; points beside the image are even farther than the squares that hold them.
             let away = (ring as f64 - 1.0) * self.edge - 1.0;
             if best.is_some_and(|(squared, _)| away > 0.0 && away * away > squared) {
                 break;
@@ -51,7 +51,7 @@ impl NearestCells {
         best.map(|(_, number)| number as usize)
     }
 
-    /// Points of the squares that are `ring` squares away.
+    /// Returns the points in squares that are `ring` squares away.
     fn ring(&self, [x, y]: [usize; 2], ring: usize) -> impl Iterator<Item = u32> {
         let rows = y.saturating_sub(ring)..(y + ring + 1).min(self.count[1]);
         rows.flat_map(move |row| {
@@ -74,7 +74,7 @@ mod tests {
     fn the_nearest_is_found() {
         let draw = |k: u32, n: u64| rng::uniform(3, Purpose::Tile, k, n);
         for count in [1, 2, 40, 900] {
-            // half of them in a corner, so that many squares are empty
+            // Half of the points lie in a corner, so that many squares are empty.
             let point = |n: u64| {
                 let part = if n.is_multiple_of(2) { 1.0 } else { 0.2 };
                 [part * draw(0, n) * 260.0 - 30.0, part * draw(1, n) * 149.0]

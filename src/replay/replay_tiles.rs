@@ -1,4 +1,4 @@
-//! Tiles for training from the stored image of a world without a recipe.
+//! Makes training tiles from the stored image of a world without a recipe.
 
 use ndarray::{Axis, s};
 
@@ -8,11 +8,11 @@ use crate::progress::Progress;
 use crate::world::column_labels::{REACH_SIGMAS, class_of_counts, draw_column};
 use crate::world::training_set::{ColumnLists, TrainingOptions, TrainingSet, check_sizes, corner};
 
-/// Cuts tiles with labels from the image of a world as its file has it, noise included: `clean` has no tiles, and the dose is
-/// not known (NaN). Places are drawn as for a world with a recipe, of which there may be none.
+/// Cuts tiles with labels from the image of a world file, noise included: `clean` has no tiles, and the dose is not known (NaN). Places are
+/// drawn as for a world with a recipe, but no recipe is needed.
 ///
 /// # Errors
-/// [`Error::Invalid`] for tiles larger than the image and options out of limits; those of the file, [`Error::Interrupted`].
+/// [`Error::Invalid`] for tiles larger than the image and options out of limits; errors of the file, [`Error::Interrupted`].
 pub fn stored_training_set(
     world: &WorldFile,
     options: &TrainingOptions,
@@ -52,7 +52,7 @@ pub fn stored_training_set(
             let class = class_of_counts(found.vacancies, found.substitutions);
             draw_column(at, class, options.sigma_px, &mut heat, &mut mask);
             if at.iter().all(|v| (-0.5..size as f64 - 0.5).contains(v)) {
-                // The elements are not known.
+                // The elements are not known, so the atomic number is 0.
                 let facts =
                     [i32::from(class), found.sites, found.vacancies, found.substitutions, 0];
                 lists.add(tile, at, facts);

@@ -1,4 +1,4 @@
-//! A recorded image becomes a world file.
+//! Converts a recorded image to a world file.
 
 use std::path::Path;
 
@@ -18,23 +18,23 @@ use crate::progress::Progress;
 use crate::setting::Setting;
 use crate::world::blended_image::Overview;
 
-/// Edge of a tile, and what neighbours share, in pixels.
+/// Edge of a tile, and overlap of neighbours, in pixels.
 const TILE_PX: usize = 128;
 const OVERLAP_PX: usize = 4;
 const STRIDE_PX: usize = TILE_PX - OVERLAP_PX;
-/// Edges that a pixel may have, in nm: a hundredth of a pm to 10 um.
+/// Allowed edges of a pixel in nm: a hundredth of a pm to 10 um.
 const PIXELS_NM: std::ops::RangeInclusive<f64> = 1e-5..=1e4;
 /// Names of the four phases by the signs of the polarisation along x and y.
 const QUADRANTS: [&str; 4] = ["Px+ Py+", "Px- Py+", "Px- Py-", "Px+ Py-"];
-/// Where a smaller share of the cells lies in the image, they are places of another.
+/// If a smaller share of the cells lies in the image, the cells belong to another image.
 const LEAST_INSIDE: f64 = 0.5;
 
-/// How a recorded image becomes a world.
+/// Options for converting a recorded image to a world.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReplayOptions {
     /// Edge of a pixel in nm, in place of the file's.
     pub pixel_nm: Option<f64>,
-    /// A spacing of the crystal in nm that is measured in the image; the pixel size is then only where to look.
+    /// A spacing of the crystal in nm that is measured in the image; the search begins at the given size of a pixel.
     pub spacing_nm: Option<f64>,
     /// Percentiles of the image that become 0 and 1.
     pub percentiles: [f64; 2],
@@ -46,19 +46,19 @@ impl Default for ReplayOptions {
     }
 }
 
-/// Where the size of a pixel comes from.
+/// Origin of the size of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PixelOrigin {
-    /// The file.
+    /// Taken from the file.
     File,
-    /// The user.
+    /// Given by the user.
     Given,
-    /// A known spacing.
+    /// Measured by a known spacing.
     Calibrated,
 }
 
-/// What a world of a recorded image holds.
+/// Contents of a world of a recorded image.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct ReplayFacts {
@@ -70,33 +70,33 @@ pub struct ReplayFacts {
     pub recorded_px: [usize; 2],
     /// Rows and columns of tiles.
     pub tiles: [usize; 2],
-    /// Rows and columns of the world; the rest of the image, below and to the right, is left out.
+    /// Rows and columns of pixels of the world; the rest of the image, below and to the right, is left out.
     pub pixels: [usize; 2],
     /// Edge of a pixel in nm.
     pub pixel_size_nm: f64,
-    /// Where that comes from.
+    /// Origin of the size of a pixel.
     pub pixel_size_from: PixelOrigin,
-    /// What the file says of it.
+    /// Size of a pixel in the file.
     pub pixel_size_in_file_nm: Option<f64>,
-    /// What was measured.
+    /// The calibration, if one was made.
     pub calibration: Option<Calibration>,
     /// Recorded values that become 0 and 1.
     pub range: [f64; 2],
-    /// Shares of the pixels below and above that range.
+    /// Shares of the pixels below and above that range, which are clipped.
     pub cut_off: [f64; 2],
-    /// Pixels of the whole image without a finite value, which have its median.
+    /// Number of pixels of the whole image without a finite value, which are replaced by its median.
     pub invalid_pixels: usize,
-    /// Places that the file lists, in the world.
+    /// Number of places in the world that the file lists.
     pub sites: usize,
-    /// Places that the file lists elsewhere, or without finite numbers.
+    /// Number of listed places elsewhere, or without finite numbers.
     pub sites_left_out: usize,
-    /// Names of the phases by their codes; empty where there is one.
+    /// Names of the phases by their codes; empty for a single phase.
     pub phases: Vec<String>,
-    /// Energy of the electrons, if the file tells it.
+    /// Energy of the electrons, if the file gives it.
     pub energy_kev: Option<f64>,
-    /// Name of the detector, if the file tells it.
+    /// Name of the detector, if the file gives it.
     pub detector: Option<String>,
-    /// What was done to the image so that it lies as its file means it, in words.
+    /// Changes of the image's orientation after reading, in words.
     pub notes: Vec<String>,
 }
 
@@ -107,7 +107,7 @@ pub struct ReplayWorld {
     file_name: String,
     sha256: Option<String>,
     percentiles: [f64; 2],
-    /// The recorded image, without gaps; the world has its first rows and columns.
+    /// The recorded image, without gaps; the world holds its first rows and columns.
     image: Array2<f64>,
     valid: Array2<bool>,
     cells: RecordedCells,
@@ -119,7 +119,7 @@ impl ReplayWorld {
     /// Calibrates and scales a recorded image.
     ///
     /// # Errors
-    /// [`Error::Choice`] where the file does not tell the size of a pixel, for an image smaller than a tile and one of a single
+    /// [`Error::Choice`] if the file does not give the size of a pixel, for an image smaller than a tile, and for an image of a single
     /// value; [`Error::Invalid`] for options out of limits, and a spacing that the image does not show; [`Error::Io`].
     pub fn new(mut recorded: RecordedImage, options: &ReplayOptions) -> Result<Self> {
         let path = recorded.path.clone();
@@ -168,7 +168,7 @@ impl ReplayWorld {
             detector: recorded.detector,
             notes: recorded.notes,
         };
-        // Those of zarr are folders.
+        // A zarr array is a folder and has no digest.
         let sha256 = path.is_file().then(|| sha256_of_file(&path)).transpose()?;
         let sha256 = sha256.map(|(digest, _)| digest);
         let file_name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -176,12 +176,12 @@ impl ReplayWorld {
         Ok(ReplayWorld { facts, file_name, sha256, percentiles, image, valid, cells, quadrants })
     }
 
-    /// What the world will hold.
+    /// Returns the contents of the world.
     pub fn facts(&self) -> &ReplayFacts {
         &self.facts
     }
 
-    /// Writes the world. The file appears whole or not at all.
+    /// Writes the world. The file appears complete or not at all.
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Hdf5`], [`Error::Interrupted`].
@@ -191,7 +191,7 @@ impl ReplayWorld {
             self.write_images(&writer, progress)?;
             self.write_truth(&writer, progress)?;
             writer.finish()?;
-            // What cannot be read back is not put in place.
+            // A file that cannot be read back is not put in place.
             WorldFile::open(temporary)?.overview().map(drop)
         })
     }
@@ -233,7 +233,7 @@ impl ReplayWorld {
         let calibration = f.calibration.as_ref().and_then(|c| serde_json::to_string(c).ok());
         texts.extend(calibration.map(|json| ("calibration", json)));
         for (_, value) in &mut texts {
-            // HDF5 ends texts there.
+            // HDF5 ends texts at this character.
             value.retain(|c| c != '\0');
         }
         let stated = [
@@ -316,7 +316,7 @@ impl ReplayWorld {
         self.write_phases(writer, progress)
     }
 
-    /// The phase map: each pixel has the quadrant of the nearest cell.
+    /// Writes the phase map: each pixel has the quadrant of the nearest cell.
     fn write_phases(&self, writer: &WorldWriter, progress: &dyn Progress) -> Result<()> {
         let known = &self.quadrants;
         let [rows, columns] = self.facts.pixels;
@@ -341,7 +341,7 @@ impl ReplayWorld {
     }
 }
 
-/// Rows and columns of whole tiles in an image.
+/// Returns the rows and columns of whole tiles in an image.
 fn grid(shape: [usize; 2], path: &Path) -> Result<[usize; 2]> {
     let tiles = shape.map(|n| n.saturating_sub(OVERLAP_PX) / STRIDE_PX);
     if tiles.contains(&0) {
@@ -355,7 +355,7 @@ fn grid(shape: [usize; 2], path: &Path) -> Result<[usize; 2]> {
     Ok(tiles)
 }
 
-/// The size of a pixel as the user or the file says.
+/// Returns the size of a pixel as given by the user or the file.
 fn first_guess(recorded: &RecordedImage, options: &ReplayOptions) -> Result<f64> {
     let nm = match (options.pixel_nm, &recorded.pixel_nm) {
         (Some(nm), _) => nm,
@@ -379,16 +379,16 @@ fn first_guess(recorded: &RecordedImage, options: &ReplayOptions) -> Result<f64>
 
 /// An image without gaps.
 struct FilledImage {
-    /// It, with its median where it has no finite value.
+    /// The image, with its median in place of values that are not finite.
     image: Array2<f64>,
-    /// Where it has one.
+    /// True for pixels with a finite value.
     valid: Array2<bool>,
-    /// Its values at the percentiles.
+    /// The image's values at the percentiles.
     range: [f64; 2],
 }
 
 impl FilledImage {
-    /// Takes the pixels of a recorded image.
+    /// Fills the gaps in the pixels of a recorded image.
     fn of(recorded: &mut RecordedImage, options: &ReplayOptions) -> Result<Self> {
         let [low, high] = options.percentiles;
         if !(0.0 <= low && low < high && high <= 100.0) {
@@ -414,7 +414,7 @@ impl FilledImage {
     }
 }
 
-/// The cells whose place is known and lies in an image of these rows and columns.
+/// Returns the cells whose place is known and lies in an image of this shape.
 fn inside(cells: RecordedCells, [rows, columns]: [usize; 2], path: &Path) -> Result<RecordedCells> {
     let within = |v: f64, n: usize| (-0.5..n as f64 - 0.5).contains(&v);
     let listed = cells.positions_px.len();
@@ -442,7 +442,7 @@ fn inside(cells: RecordedCells, [rows, columns]: [usize; 2], path: &Path) -> Res
     })
 }
 
-/// Code of the quadrant of a polarisation; zeros count as positive. `None` where it is not known.
+/// Returns the code of the quadrant of a polarisation; zeros count as positive. `None` if it is not known.
 fn quadrant([x, y]: [f64; 2]) -> Option<i32> {
     if !(x.is_finite() && y.is_finite()) {
         return None;
@@ -455,14 +455,14 @@ fn quadrant([x, y]: [f64; 2]) -> Option<i32> {
     })
 }
 
-/// Places and quadrants of the cells that have both.
+/// Returns places and quadrants of the cells that have both.
 fn quadrants(cells: &RecordedCells) -> Vec<([f64; 2], i32)> {
     let all = cells.positions_px.iter().zip(&cells.polarisations);
     let known = all.filter(|(at, _)| at.iter().all(|v| v.is_finite()));
     known.filter_map(|(at, p)| Some((*at, quadrant(*p)?))).collect()
 }
 
-/// Names of the phases, where cells have more than one.
+/// Returns the names of the phases, if the cells have more than one.
 fn phases(quadrants: &[([f64; 2], i32)]) -> Vec<String> {
     let several = quadrants.windows(2).any(|pair| pair[0].1 != pair[1].1);
     if several { QUADRANTS.map(str::to_owned).to_vec() } else { Vec::new() }

@@ -1,15 +1,15 @@
-//! Percentiles of values, as of an image.
+//! Computes percentiles of values, for example of an image.
 
 use rayon::prelude::*;
 
-/// Bits of a value that one pass over the image settles.
+/// Number of bits of a value that one pass over the image determines.
 const DIGIT_BITS: u32 = 16;
-/// Values that are counted by one thread at least.
+/// Least number of values that one thread counts.
 const LEAST_AT_ONCE: usize = 1 << 20;
 
-/// Percentiles (0 to 100) of the finite values, interpolated between neighbours; `None` if there are none.
+/// Computes percentiles (0 to 100) of the finite values, interpolated between neighbours; `None` if there are none.
 ///
-/// The values are not copied, which would take as much memory again: a value of a rank is found digit by digit, by counting.
+/// The values are not copied, which would take as much memory again: the value of a rank is found digit by digit, by counting.
 pub(super) fn percentiles<const N: usize>(values: &[f64], wanted: [f64; N]) -> Option<[f64; N]> {
     let count = values.iter().filter(|v| v.is_finite()).count();
     let last = count.checked_sub(1)?;
@@ -26,7 +26,7 @@ pub(super) fn percentiles<const N: usize>(values: &[f64], wanted: [f64; N]) -> O
     }))
 }
 
-/// The finite value with so many smaller ones before it, in order.
+/// Returns the finite value of a rank: the number of smaller values before it in order.
 fn of_rank(values: &[f64], rank: usize) -> f64 {
     let (mut prefix, mut left) = (0_u64, rank);
     for settled in (0..64).step_by(DIGIT_BITS as usize) {
@@ -54,14 +54,14 @@ fn of_rank(values: &[f64], rank: usize) -> f64 {
 
 const SIGN: u64 = 1 << 63;
 
-/// A number that is larger for larger values.
+/// Converts a value to a whole number with the same order.
 fn key(value: f64) -> u64 {
-    // Both zeros are one value.
+    // Both zeros become one value.
     let bits = (value + 0.0).to_bits();
     if bits & SIGN == 0 { bits | SIGN } else { !bits }
 }
 
-/// The value of such a number.
+/// Converts such a number back to its value.
 fn value(key: u64) -> f64 {
     f64::from_bits(if key & SIGN == 0 { !key } else { key & !SIGN })
 }
@@ -72,7 +72,7 @@ mod tests {
 
     #[test]
     fn percentiles_are_those_of_numpy() {
-        // numpy.percentile([5, 1, 4, 2], [0, 25, 50, 99.9, 100])
+        // Values of numpy.percentile([5, 1, 4, 2], [0, 25, 50, 99.9, 100]).
         let found =
             percentiles(&[5.0, 1.0, f64::NAN, 4.0, 2.0], [0.0, 25.0, 50.0, 99.9, 100.0]).unwrap();
         for (found, expected) in found.iter().zip([1.0, 1.75, 3.0, 4.997, 5.0]) {

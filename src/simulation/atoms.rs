@@ -55,7 +55,7 @@ pub enum FromFile {
     FromFile,
 }
 
-/// What is made of the atoms.
+/// The specimen of a request: direction, size, vibrations and frames of the atoms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SpecimenRequest {
@@ -65,13 +65,13 @@ pub struct SpecimenRequest {
     /// Lattice direction along +y, perpendicular to the zone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub up: Option<[i32; 3]>,
-    /// Make a box of a cell whose angles are nearly right, with at most so much strain in per cent.
+    /// Strain a cell whose angles are nearly right into an orthogonal box, by at most this strain in per cent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_strain_percent: Option<f64>,
-    /// How often the cell, after the zone, is repeated along x, y and the beam.
+    /// Numbers of repetitions of the cell along x, y and the beam, after the zone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub repeat: Option<[usize; 3]>,
-    /// Number of frozen-phonon configurations; `None`: atoms exactly as given.
+    /// Number of frozen-phonon configurations; `None`: atoms stay at the given positions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub phonons: Option<u32>,
     /// Standard deviation of each Cartesian component of the thermal displacement.
@@ -108,20 +108,20 @@ impl Default for SpecimenRequest {
 pub struct PreparedSpecimen {
     /// Edges of the box in Angstrom.
     pub size_angstrom: [f64; 3],
-    /// The atoms; of a trajectory, those of the first frame.
+    /// The atoms; for a trajectory, the atoms of the first frame.
     pub sites: Vec<Site>,
     /// Mean heights of the atoms in Angstrom.
     pub heights_angstrom: Vec<f64>,
     /// The atoms of further frames of a trajectory.
     pub more_frames: Vec<Vec<Site>>,
-    /// What a user should know of the atoms, in sentences.
+    /// Notes on the atoms for the user, in sentences.
     pub notes: Vec<String>,
-    /// The largest principal strain in per cent that made the box orthogonal.
+    /// The largest principal strain in per cent that was needed for an orthogonal box.
     pub strain_percent: Option<f64>,
 }
 
 impl PreparedSpecimen {
-    /// The atoms of each frame: one, unless there is a trajectory.
+    /// The atoms of each frame. Without a trajectory there is one frame.
     pub fn frames(&self) -> Vec<&[Site]> {
         std::iter::once(&self.sites).chain(&self.more_frames).map(Vec::as_slice).collect()
     }
@@ -162,10 +162,10 @@ impl SpecimenRequest {
         self.phonons.map(|configurations| Phonons { configurations, seed: self.seed })
     }
 
-    /// Reads, turns and repeats the atoms, and draws those of mixed sites.
+    /// Reads, turns and repeats the atoms, and draws the occupation of mixed sites.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for parts of the request that exclude each other; those of the structure.
+    /// [`Error::Invalid`] for parts of the request that exclude each other; errors of the structure file.
     pub fn prepare(&self, source: &AtomsSource) -> Result<PreparedSpecimen> {
         self.check()?;
         if let Some(range) = self.frames {
@@ -244,7 +244,7 @@ impl SpecimenRequest {
         }
     }
 
-    /// Displacements of a table for the elements that there are, and what to say of them.
+    /// Displacements from a table for the elements of a structure, with a note on them.
     fn tabulated(&self, structure: &Structure) -> Result<Option<(Sigmas, String)>> {
         if !matches!(self.sigma_angstrom, Some(SigmaChoice::FromTable(_))) {
             return Ok(None);
@@ -266,7 +266,7 @@ impl SpecimenRequest {
 
     fn sigmas(&self, source: &AtomsSource) -> Result<Sigmas> {
         Ok(match (&self.sigma_angstrom, source) {
-            // A table is read once the elements are known.
+            // The table is read later, when the elements are known.
             (None | Some(SigmaChoice::FromTable(_)), _) => Sigmas::None,
             (Some(SigmaChoice::All(sigma)), _) => Sigmas::All(*sigma),
             (Some(SigmaChoice::ByElement(by_symbol)), _) => {
@@ -293,7 +293,7 @@ impl SpecimenRequest {
         })
     }
 
-    /// Reads frames. Slices are those of the mean heights, where all frames have as many atoms.
+    /// Reads frames. Slices are made for the mean heights if all frames have equally many atoms.
     fn prepare_frames(&self, source: &AtomsSource, range: FrameRange) -> Result<PreparedSpecimen> {
         let AtomsSource::File(path) = source else {
             let expected = "frames are read from a file, extended XYZ or XDATCAR";
@@ -323,15 +323,15 @@ impl SpecimenRequest {
     }
 }
 
-/// What there is to say of the frames of a trajectory. Sentences that differ in their numbers only are told once.
+/// Notes on the frames of a trajectory. Sentences that differ only in their numbers are kept once.
 #[derive(Default)]
 struct FrameNotes(Vec<FrameNote>);
 
 struct FrameNote {
     sentence: String,
-    /// The first frame of which it was said.
+    /// The first frame with this sentence.
     first: usize,
-    /// Of how many frames.
+    /// Number of frames with this sentence.
     count: usize,
 }
 
@@ -390,7 +390,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("md.xyz");
         let head = "Lattice=\"4 0 0 0 4 0 0 0 4\" Properties=species:S:1:pos:R:3:occupancy:R:1";
-        // Beyond the cell in the second frame and the last; two sites that are too full for their distance in the last.
+        // An atom outside the cell in the second frame and the last; two sites too full for their distance in the last.
         let rows = ["1 1 1 1\nSi 3", "-1 1 1 1\nSi 1", "-3 1 1 0.9\nSi -2.5"];
         let frames = rows.map(|row| format!("2\n{head}\nSi {row} 1 1 0.9\n"));
         std::fs::write(&path, frames.concat()).unwrap();

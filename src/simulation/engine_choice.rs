@@ -1,4 +1,4 @@
-//! Which engine makes the images of a scan, where the request leaves it open: the fastest that keeps an accuracy.
+//! Chooses the engine for the images of a scan where the request leaves it open: the fastest engine within an error.
 
 use std::borrow::Cow;
 
@@ -11,22 +11,22 @@ use crate::engine::{
 use crate::error::Result;
 use crate::progress::Progress;
 
-/// The rms error in per cent of the mean image that images keep where neither an engine nor an accuracy is asked for.
+/// Largest rms error in per cent of the mean image, if the request gives neither an engine nor an accuracy.
 pub const DEFAULT_ACCURACY_PERCENT: f64 = 0.5;
-/// Images that take the exact engine fewer operations, a second or two, or fewer probes, those of all configurations counted, are simulated
-/// exactly at once: a round of measuring errors would take more than a tenth of that.
+/// The exact engine is used without a measurement of errors if all images and configurations take fewer operations than this (a second or
+/// two), or fewer probes than `FEW_PROBES`. A round of the measurement would take more than a tenth of that.
 const LITTLE_FLOPS: f64 = 3e10;
 const FEW_PROBES: usize = 320;
-/// A plan that is told and not run samples what takes no more operations, a second or two.
+/// A plan that is only shown measures errors if the samples take at most this many operations, a second or two.
 const QUICK_FLOPS: f64 = 3e10;
-/// Probes that the choice samples of each image, about (`engine::accuracy`).
+/// Approximate number of probes of each image that the choice samples (`engine::accuracy`).
 const SAMPLED: usize = 64;
 
-/// Plans, and what was found about each.
+/// Plans, and the result of the choice for each.
 type Chosen = (Vec<Plan>, Vec<AccuracyFound>);
 
 impl NumericsRequest {
-    /// Whether nothing says how waves are propagated, so that the program chooses. A probe in the cell is for the exact engine.
+    /// Whether the request leaves the engine to the program. A probe with norm 1 in the cell is for the exact engine.
     pub fn leaves_engine_open(&self) -> bool {
         let chosen = self.engine.is_some()
             || self.window_angstrom.is_some()
@@ -37,7 +37,7 @@ impl NumericsRequest {
 }
 
 impl SimulationJob {
-    /// The rms error in per cent of the mean image that the images keep against the exact engine; `None` where an engine is asked for.
+    /// The largest rms error of the images against the exact engine, in per cent of the mean image; `None` if the request names an engine.
     pub fn accuracy_asked(&self) -> Option<f64> {
         let request = self.request();
         if request.plane_wave || request.patterns.is_some() {
@@ -47,11 +47,11 @@ impl SimulationJob {
         request.numerics.accuracy_percent.or(open.then_some(DEFAULT_ACCURACY_PERCENT))
     }
 
-    /// Makes the plans as accurate as the request asks, by simulating samples; nothing where it names an engine. All images of a series
-    /// get the same engine.
+    /// Makes the plans as accurate as requested, by simulating samples; does nothing if the request names an engine. All images of a series
+    /// get one engine.
     ///
     /// # Errors
-    /// Those of [`settings_for_accuracy`].
+    /// Errors of [`settings_for_accuracy`].
     pub fn choose_accuracy(&mut self, progress: &dyn Progress) -> Result<()> {
         if let Some((plans, found)) = self.choice(progress)? {
             (self.plans, self.accuracies) = (plans, found);
@@ -59,8 +59,8 @@ impl SimulationJob {
         Ok(())
     }
 
-    /// As [`SimulationJob::choose_accuracy`] for a plan that is told and not run: unless an accuracy is asked for, samples that would take
-    /// some seconds are left out, and the plans are those of the exact engine ([`AccuracyFound::chosen_later`]).
+    /// Chooses as [`SimulationJob::choose_accuracy`] does, for a plan that is only shown. Unless the request gives an accuracy, samples
+    /// that would take some seconds are left out, and the plans are those of the exact engine ([`AccuracyFound::chosen_later`]).
     ///
     /// # Errors
     /// As [`SimulationJob::choose_accuracy`].
@@ -83,13 +83,13 @@ impl SimulationJob {
         }
     }
 
-    /// The plans that images are made by: the chosen ones.
+    /// The plans by which images are made, after the choice.
     pub(super) fn chosen_plans(&self, progress: &dyn Progress) -> Result<Cow<'_, [Plan]>> {
         let chosen = self.choice(progress)?;
         Ok(chosen.map_or(Cow::Borrowed(self.plans()), |(plans, _)| Cow::Owned(plans)))
     }
 
-    /// The plans for single probes, which nothing is chosen for: the exact engine where the request leaves the engine open.
+    /// The plans for single probes, without a choice: the exact engine if the request leaves the engine open.
     pub(super) fn plans_of_single_probes(&self) -> Result<Cow<'_, [Plan]>> {
         match self.request().numerics.leaves_engine_open() {
             false => Ok(Cow::Borrowed(self.plans())),
@@ -100,7 +100,7 @@ impl SimulationJob {
         }
     }
 
-    /// What is chosen; `None` where nothing is to be, or was already.
+    /// Makes the choice; `None` if there is none to make, or it was already made.
     fn choice(&self, progress: &dyn Progress) -> Result<Option<Chosen>> {
         let Some(asked) = self.accuracy_asked().filter(|_| self.accuracies.is_empty()) else {
             return Ok(None);
@@ -128,7 +128,7 @@ impl SimulationJob {
             }
             return at_once(found);
         }
-        // The widest window of the series is wide enough for each.
+        // The widest window of the series is wide enough for all its images.
         let widths =
             found.iter().filter_map(|one| one.window()).map(|window| window.width_angstrom);
         let width_angstrom = widths.fold(0.0, f64::max);
@@ -149,7 +149,7 @@ impl SimulationJob {
         self.plans().iter().map(of).collect()
     }
 
-    /// Whether the exact engine takes so little that nothing is measured.
+    /// Whether the exact engine is so cheap that no errors are measured.
     fn takes_little(&self, exact: &[ExactEngine]) -> Result<bool> {
         let (mut flops, mut probes) = (0.0, 0);
         for ExactEngine { plan, .. } in exact {
@@ -191,9 +191,9 @@ mod tests {
         assert!(matches!(settings.probe_step, ProbeStep::Angstrom(_)), "{settings:?}");
         let [found] = job.accuracies() else { panic!("{:?}", job.accuracies()) };
         assert!(!found.holds && found.tried.is_empty());
-        // Whoever runs without choosing gets the same.
+        // A run without an earlier choice gives equal images.
         assert_eq!(job.run(&Silent).unwrap()[0].data, at_once[0].data);
-        // So do single probes, but for what is interpolated.
+        // Single probes are equal too, except for interpolation.
         let probe = job.probes(&[[0.0, 0.0]], true, &Silent).unwrap();
         let (one, of_scan) = (probe[0].image(0, 0)[[0, 0]], at_once[0].data[[0, 0, 0]]);
         assert!((one / of_scan - 1.0).abs() < 1e-3, "{one} {of_scan}");

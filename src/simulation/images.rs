@@ -1,4 +1,4 @@
-//! Images as a simulation makes them, and the electrons that are counted in them.
+//! Simulated images, and the electrons that are counted in them.
 
 use ndarray::{Array3, ArrayView3, Axis};
 
@@ -6,9 +6,9 @@ use crate::engine::{Scan, SourceBlur};
 use crate::error::Result;
 use crate::imaging::Noise;
 
-/// What images of scans are measured in.
+/// Unit of images of scans.
 pub const FRACTION_OF_BEAM: &str = "fraction of the incident beam";
-/// What images of a plane wave are measured in.
+/// Unit of images of a plane wave.
 pub(super) const OF_INCIDENT_WAVE: &str = "intensity; that of the incident wave is 1";
 
 /// An image of one detector, or of the lens, at one defocus.
@@ -18,31 +18,31 @@ pub struct SimulatedImage {
     pub name: String,
     /// (thickness, y, x)
     pub data: Array3<f32>,
-    /// What the values are.
+    /// Unit of the values.
     pub units: &'static str,
     /// The defocus in Angstrom.
     pub defocus_angstrom: f64,
     /// Inner and outer angle in mrad of a detector.
     pub annulus_mrad: Option<[f64; 2]>,
-    /// Electrons counted, where a dose is asked for: (thickness, y, x).
+    /// Counted electrons if the request gives a dose: (thickness, y, x).
     pub counts: Option<Array3<u32>>,
-    /// Whether it is what counted electrons say of another image.
+    /// Whether the image shows the counted electrons of another image.
     pub noisy: bool,
 }
 
-/// The name of an image: that of its detector, with the defocus in a series.
+/// The name of an image: the name of its detector, with the defocus in a series.
 pub(super) fn name_of(detector: &str, series_defocus_angstrom: Option<f64>) -> String {
     series_defocus_angstrom
         .map_or_else(|| detector.to_owned(), |defocus| format!("{detector}_defocus_{defocus}A"))
 }
 
-/// The name of the noisy image beside one.
+/// The name of the noisy image that belongs to an image.
 pub fn noisy_name(name: &str) -> String {
     format!("{name}_noisy")
 }
 
 impl SimulatedImage {
-    /// What the counts say of the image: over the electrons of a pixel. `None` where none were counted.
+    /// The noisy image: counts divided by the electrons of a pixel. `None` if none were counted.
     pub fn noisy(&self, electrons_per_pixel: f64) -> Option<SimulatedImage> {
         let share = |n: &u32| (f64::from(*n) / electrons_per_pixel) as f32;
         let data = self.counts.as_ref()?.map(share);
@@ -50,7 +50,7 @@ impl SimulatedImage {
         Some(SimulatedImage { name, data, counts: None, noisy: true, ..self.clone() })
     }
 
-    /// Counts electrons, as image number `n`; each image and thickness has draws of its own.
+    /// Counts electrons, as image number `n`. Each image and thickness has its own random numbers.
     pub(super) fn count(&mut self, n: usize, seed: u64, electrons_per_pixel: f64, scan: &Scan) {
         let (thicknesses, rows, columns) = self.data.dim();
         let mut counts = Array3::zeros((thicknesses, rows, columns));
@@ -68,7 +68,7 @@ impl SimulatedImage {
     }
 }
 
-/// Images (thickness, y, x) with the margin that the source takes, blurred by it.
+/// Blurs images (thickness, y, x) by the source, and cuts off the margin that the source needs.
 pub(super) fn blurred(blur: &SourceBlur, sharp: ArrayView3<f32>) -> Result<Array3<f32>> {
     let images: Vec<_> = sharp.outer_iter().map(|image| blur.image(image)).collect();
     let shape = images.first().map_or((0, 0), |image| image.dim());

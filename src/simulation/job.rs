@@ -1,4 +1,4 @@
-//! A simulation that is prepared: plans, warnings, memory and time, and the run.
+//! A prepared simulation: plans, warnings, memory and time, and the run.
 
 use ndarray::{Array2, Axis};
 
@@ -20,16 +20,16 @@ use crate::imaging::check_countable;
 use crate::progress::Progress;
 use crate::setting::Setting;
 
-/// A simulation that is ready to run: the atoms are read, and what will be done is planned.
+/// A simulation that is ready to run: the atoms are read, and the work is planned.
 #[derive(Debug)]
 pub struct SimulationJob {
     request: SimulationRequest,
     specimen: PreparedSpecimen,
-    /// One for each defocus.
+    /// One plan for each defocus.
     pub(super) plans: Vec<Plan>,
     /// Probe positions; the pixels of the grid for a plane wave.
     pub(super) scan: Scan,
-    /// What is known of the accuracy of each plan, where one is asked for.
+    /// The result of the choice of an engine for each plan, if the request gives or implies an accuracy.
     pub(super) accuracies: Vec<AccuracyFound>,
     warnings: Vec<Warning>,
 }
@@ -38,7 +38,7 @@ impl SimulationJob {
     /// Checks the request, reads the atoms, and plans. Nothing is simulated.
     ///
     /// # Errors
-    /// [`Error::Invalid`] with the [`Setting`] that is wrong; those of the structure file.
+    /// [`Error::Invalid`] with the wrong [`Setting`]; errors of the structure file.
     pub fn new(request: SimulationRequest) -> Result<Self> {
         request.microscope.check()?;
         check_plane_wave(&request)?;
@@ -63,7 +63,7 @@ impl SimulationJob {
         Ok(job)
     }
 
-    /// What was asked for.
+    /// The request.
     pub fn request(&self) -> &SimulationRequest {
         &self.request
     }
@@ -83,17 +83,17 @@ impl SimulationJob {
         &self.scan
     }
 
-    /// What was found about the accuracy, for each defocus; empty where none is asked for.
+    /// The result of the choice of an engine, for each defocus; empty without an accuracy.
     pub fn accuracies(&self) -> &[AccuracyFound] {
         &self.accuracies
     }
 
-    /// What a user should know before the run.
+    /// Warnings that a user should read before the run.
     pub fn warnings(&self) -> &[Warning] {
         &self.warnings
     }
 
-    /// The defocus in the name of an image: of a series only.
+    /// The defocus that is part of an image's name; only images of a series have it.
     pub fn series_defocus(&self, plan: usize) -> Option<f64> {
         let defocus = &self.request.microscope.defocus_angstrom;
         defocus.get(plan).copied().filter(|_| defocus.len() > 1)
@@ -112,7 +112,7 @@ impl SimulationJob {
         }
     }
 
-    /// Names of the images, in their order; without those of noisy images.
+    /// Names of the images, in their order, without the noisy images.
     pub fn image_names(&self) -> Vec<String> {
         let mut names = Vec::new();
         for (n, plan) in self.plans.iter().enumerate() {
@@ -128,13 +128,13 @@ impl SimulationJob {
         names
     }
 
-    /// Electrons that fall on one pixel, where a dose is asked for.
+    /// Mean number of electrons on one pixel, if the request gives a dose.
     pub fn electrons_per_pixel(&self) -> Option<f64> {
         let [x, y] = self.scan.step_angstrom;
         self.request.electrons_per_angstrom2.map(|dose| dose * x * y)
     }
 
-    /// Refuses a dose that is none, one whose electrons cannot be counted, and names that those of noisy images repeat.
+    /// Refuses a dose that is not positive, a dose whose electrons cannot be counted, and detector names that noisy images would repeat.
     fn check_dose(&self) -> Result<()> {
         let Some(dose) = self.request.electrons_per_angstrom2 else { return Ok(()) };
         if !(dose > 0.0 && dose.is_finite()) {
@@ -154,14 +154,14 @@ impl SimulationJob {
         }
     }
 
-    /// The scan with the margin that the source takes, and the blur; none for a point source.
+    /// The scan with the margin that the source needs, and the blur; `None` for a point source.
     fn source_blur(&self) -> Result<Option<SourceBlur>> {
         let [x, y, _] = self.specimen.size_angstrom;
         let source = self.request.microscope.source();
         source.map(|source| SourceBlur::new(source, &self.scan, [x, y])).transpose()
     }
 
-    /// The scan that is simulated: with the margin that the source takes.
+    /// The simulated scan, with the margin that the source needs.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a scan whose margin is larger than the cell.
@@ -172,7 +172,7 @@ impl SimulationJob {
         }
     }
 
-    /// Bytes of memory that each plan takes on the threads of this process, and what takes less.
+    /// Memory in bytes that each plan needs on the threads of this process, and advice for too little memory.
     pub fn memory(&self) -> impl Iterator<Item = (u64, &'static str)> + '_ {
         let probes = if self.request.plane_wave { 1 } else { self.scan.len() };
         self.plans.iter().map(move |plan| {
@@ -182,18 +182,18 @@ impl SimulationJob {
         })
     }
 
-    /// Refuses what takes more memory than is free, for each plan.
+    /// Refuses plans that need more memory than is free.
     ///
     /// # Errors
-    /// [`Error::Memory`] with what takes less.
+    /// [`Error::Memory`] with advice.
     pub fn check_memory(&self) -> Result<()> {
         self.memory().try_for_each(|(bytes, remedy)| check_memory(bytes, remedy))
     }
 
-    /// What the run will do and take. The speed of the machine is measured, in 0.2 s.
+    /// Reports the work of the run, and its memory and time. Measures the speed of the machine for 0.2 s.
     ///
     /// # Errors
-    /// Those of [`SimulationJob::simulated_scan`].
+    /// Errors of [`SimulationJob::simulated_scan`].
     pub fn report(&self) -> Result<PlanReport> {
         let plan = &self.plans[0];
         let scan = self.simulated_scan()?;
@@ -212,18 +212,18 @@ impl SimulationJob {
         Ok(report)
     }
 
-    /// The images of the scan, for each defocus those of all detectors; electrons are counted where a dose is asked for.
+    /// Simulates the images of the scan: for each defocus, the images of all detectors. Counts electrons if the request gives a dose.
     ///
     /// # Errors
-    /// Those of the engine, and [`Error::Interrupted`].
+    /// Errors of the engine, and [`Error::Interrupted`].
     pub fn run(&self, progress: &dyn Progress) -> Result<Vec<SimulatedImage>> {
         self.run_from(&[], progress)
     }
 
-    /// As [`SimulationJob::run`], with the same bytes, from parts that other processes have made.
+    /// Computes the bytes of [`SimulationJob::run`] from parts that other processes have made.
     ///
     /// # Errors
-    /// As [`SimulationJob::run`]; parts of other images.
+    /// Errors of [`SimulationJob::run`]; [`Error::Invalid`] for parts of other images.
     pub fn run_from(
         &self,
         parts: &[ScanPart],
@@ -255,10 +255,10 @@ impl SimulationJob {
         Ok(made)
     }
 
-    /// The part of one of several processes that share the probes of the scan.
+    /// Simulates one process's part of the probes of the scan, which several processes share.
     ///
     /// # Errors
-    /// As [`SimulationJob::run`]; PRISM, whose waves are of all probes.
+    /// Errors of [`SimulationJob::run`]; [`Error::Invalid`] for PRISM, whose waves contain all probes.
     pub fn run_part(&self, shard: Shard, progress: &dyn Progress) -> Result<ScanPart> {
         self.needs_images()?;
         let scan = self.simulated_scan()?;
@@ -274,7 +274,7 @@ impl SimulationJob {
     /// The exit waves of a plane wave, and the images of the lens for each defocus.
     ///
     /// # Errors
-    /// Those of the engine; a request for probes.
+    /// Errors of the engine; [`Error::Invalid`] for a request for probes.
     pub fn plane_wave(
         &self,
         progress: &dyn Progress,
@@ -299,10 +299,10 @@ impl SimulationJob {
         Ok((made, found))
     }
 
-    /// Single probes, each at a place (x, y) in Angstrom: for each defocus (thickness, detector, 0, place).
+    /// Simulates single probes, each at a place (x, y) in Angstrom. Returns (thickness, detector, 0, place) for each defocus.
     ///
     /// # Errors
-    /// Places far outside the cell; what needs a raster of probes; [`Error::Memory`] unless `force`.
+    /// [`Error::Invalid`] for places far outside the cell, and for settings that need a raster of probes; [`Error::Memory`] unless `force`.
     pub fn probes(
         &self,
         places_angstrom: &[[f64; 2]],
@@ -312,7 +312,7 @@ impl SimulationJob {
         self.needs_images()?;
         let [x, y, _] = self.specimen.size_angstrom;
         plausibility::check_places(places_angstrom, [x, y])?;
-        // As many probes that share no waves, for an estimate of memory.
+        // Equally many probes that share no waves, for an estimate of memory.
         let apart =
             Scan { step_angstrom: [1e3, 0.0], shape: [1, places_angstrom.len()], ..self.scan };
         let plans = self.plans_of_single_probes()?;
@@ -326,7 +326,7 @@ impl SimulationJob {
     /// The diffraction pattern of a probe at a place (x, y) in Angstrom, in FFT order, and the step (x, y) of its pixels in mrad.
     ///
     /// # Errors
-    /// A place far outside the cell; those of the engine.
+    /// [`Error::Invalid`] for a place far outside the cell; errors of the engine.
     pub fn diffraction(
         &self,
         place_angstrom: [f64; 2],
@@ -369,7 +369,7 @@ impl SimulationJob {
     }
 }
 
-/// Refuses what a plane wave has not.
+/// Refuses settings that a plane wave cannot have.
 fn check_plane_wave(request: &SimulationRequest) -> Result<()> {
     if !request.plane_wave {
         return Ok(());
@@ -406,7 +406,7 @@ fn plan(request: &SimulationRequest, specimen: &PreparedSpecimen, defocus: f64) 
     Plan::new(&settings, specimen.size_angstrom, &specimen.heights_angstrom)
 }
 
-/// Where probes stand, and what is to be said of it and of the cell.
+/// The positions of the probes, with warnings about them and the cell.
 fn scan(
     request: &SimulationRequest,
     specimen: &PreparedSpecimen,

@@ -15,12 +15,12 @@ use crate::setting::Setting;
 pub struct MicroscopeRequest {
     /// Beam energy in keV.
     pub energy_kev: f64,
-    /// Semiangle of the probe-forming aperture in mrad; of the objective aperture for a plane wave.
+    /// Semiangle of the probe-forming aperture in mrad. For a plane wave it is the semiangle of the objective aperture.
     pub semiangle_mrad: f64,
-    /// Defocus in Angstrom from the entrance surface; positive is underfocus, with the focus deeper in the specimen. Several make a
+    /// Defocus in Angstrom from the entrance surface; positive is underfocus, with the focus deeper in the specimen. Several values make a
     /// series.
     pub defocus_angstrom: Vec<f64>,
-    /// Coefficients of the aberration function but for the defocus.
+    /// Coefficients of the aberration function except the defocus.
     pub aberrations: Vec<Aberration>,
     /// Mistilt of the specimen (x, y) in mrad: the beam runs along (tan x, tan y, 1) of the box.
     pub tilt_mrad: [f64; 2],
@@ -33,7 +33,7 @@ pub struct MicroscopeRequest {
     pub source_lorentz_share: f64,
     /// Detectors, in the order of the images.
     pub detectors: Vec<Detector>,
-    /// Go on when a detector reaches beyond what the grid carries.
+    /// Continue with a warning if a detector reaches beyond the angles of the grid.
     pub allow_empty_angles: bool,
 }
 
@@ -62,10 +62,10 @@ impl MicroscopeRequest {
         self.source_size_angstrom.map(|fwhm_angstrom| Source { fwhm_angstrom, lorentz_share })
     }
 
-    /// Refuses what no microscope has, and what is hardly meant.
+    /// Refuses values that no microscope has, and values that are likely slips.
     ///
     /// # Errors
-    /// [`Error::Invalid`] with what is expected.
+    /// [`Error::Invalid`] with the expected value.
     pub fn check(&self) -> Result<()> {
         plausibility::check_energy(self.energy_kev)?;
         plausibility::check_semiangle(self.semiangle_mrad)?;
@@ -95,7 +95,7 @@ impl MicroscopeRequest {
         self.source().map_or(Ok(()), |source| source.validate())
     }
 
-    /// What is possible, but hardly meant.
+    /// Warnings about values that are possible, but likely slips.
     pub fn warnings(&self) -> Vec<Warning> {
         self.aberrations.iter().filter_map(plausibility::check_azimuth).collect()
     }

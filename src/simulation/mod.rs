@@ -1,4 +1,4 @@
-//! Images of a user's atoms: what is asked for, as one value, and the job that does it.
+//! Images of a user's atoms: the request as one value, and the job that fulfils it.
 //!
 //! A [`SimulationRequest`] holds everything that decides an image, and every default. The command line, Python and Rust fill
 //! the same request; TOML files hold it ([`SimulationRequest::from_toml`]), and image files keep the one that made them.

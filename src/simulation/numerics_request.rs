@@ -1,4 +1,4 @@
-//! How waves are propagated.
+//! Numerical settings of a request: engine, grid, slices and probes.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,7 +13,7 @@ use crate::potential::scattering::Parametrization;
 use crate::potential::slices::Slicing;
 use crate::setting::Setting;
 
-/// Width in Angstrom of the window that follows each probe, where none is given.
+/// Default width in Angstrom of the window that follows each probe.
 pub const WINDOW_ANGSTROM: f64 = 11.7;
 
 /// How probes are propagated.
@@ -38,15 +38,15 @@ impl Engine {
     }
 }
 
-/// How waves are propagated.
+/// Numerical settings of a request: engine, grid, slices and probes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NumericsRequest {
-    /// The engine; `None`: the one that a window or an interpolation implies, or else the fastest whose images are right to
+    /// The engine. `None`: the engine that a window or an interpolation implies, or else the fastest whose images have at most the error
     /// [`DEFAULT_ACCURACY_PERCENT`](super::DEFAULT_ACCURACY_PERCENT).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub engine: Option<Engine>,
-    /// Take the narrowest window whose rms error is at most so many per cent of the mean image, or the exact engine.
+    /// Use the narrowest window whose rms error is at most this share of the mean image in per cent, or the exact engine.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy_percent: Option<f64>,
     /// PRISM's interpolation factors along x and y.
@@ -55,17 +55,16 @@ pub struct NumericsRequest {
     /// Width of the window that follows each probe, in Angstrom.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub window_angstrom: Option<f64>,
-    /// Pixel of the grid in Angstrom, at most; without it and `gpts`, the grid carries the outermost detector angle times
-    /// `angle_margin`.
+    /// Largest pixel of the grid in Angstrom; without it and `gpts`, the grid carries the outermost detector angle times `angle_margin`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sampling_angstrom: Option<f64>,
     /// Grid points along x and y.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gpts: Option<[usize; 2]>,
-    /// Slices of equal thickness, at most so many Angstrom; `None`: one for each atomic plane.
+    /// Slices of equal thickness, at most this in Angstrom; `None`: one for each atomic plane.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slice_thickness_angstrom: Option<f64>,
-    /// How an atom is distributed over slices.
+    /// Distribution of an atom over slices.
     pub projection: Projection,
     /// Table of scattering factors.
     pub parametrization: Parametrization,
@@ -73,23 +72,23 @@ pub struct NumericsRequest {
     pub band_fraction: f64,
     /// Width of the soft edge inside that disk, in units of Nyquist.
     pub band_taper: f64,
-    /// Exponentiate potentials on a grid so many times finer; `None`: smoothed potentials with the cores added in closed form.
+    /// Exponentiate potentials on a grid finer by this factor; `None`: smoothed potentials with the cores added in closed form.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub oversampling: Option<usize>,
-    /// The grid carries so many times the outermost detector angle.
+    /// The grid carries this many times the outermost detector angle.
     pub angle_margin: f64,
-    /// How far apart probes are propagated: `"auto"`, `"scan"` or a distance in Angstrom.
+    /// Distance of the propagated probes: `"auto"`, `"scan"` or a distance in Angstrom.
     #[serde(with = "probe_step")]
     pub probe_step: ProbeStep,
-    /// Windows: whether probes are expanded in fewer waves: `"auto"`, `"off"` or the error in per cent of a probe's amplitude.
+    /// With windows, expansion of probes in fewer waves: `"auto"`, `"off"` or the error in per cent of a probe's amplitude.
     #[serde(with = "expansion", rename = "expansion_percent")]
     pub expansion: Expansion,
-    /// Where the probe has norm 1; `None`: in the cell, with windows in a large box.
+    /// Box in which the probe has norm 1; `None`: the cell, or with windows a large box.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probe_box: Option<ProbeBox>,
-    /// PRISM keeps exit waves on the grid of the simulation.
+    /// Whether PRISM keeps exit waves on the grid of the simulation.
     pub full_exit_grid: bool,
-    /// Add what the probe's tail outside a window or a large box would have scattered.
+    /// Add the intensity that the probe's tail outside a window or a large box would have scattered.
     pub tail_correction: bool,
 }
 
@@ -119,7 +118,7 @@ impl Default for NumericsRequest {
 }
 
 impl NumericsRequest {
-    /// The algorithm; multislice where it is left open.
+    /// The algorithm; multislice if the request leaves it open.
     ///
     /// # Errors
     /// [`Error::Invalid`] for an accuracy, a window or an interpolation that belongs to another engine.
@@ -198,8 +197,8 @@ impl NumericsRequest {
     }
 }
 
-/// The algorithm of the engine that is `named`, or else of the one that a window or an interpolation implies, or else of `default`.
-/// The width and the factors are those of what is not given.
+/// The algorithm of the `named` engine, else of the engine that a window or an interpolation implies, else of `default`. `width_angstrom`
+/// and `factors` are the default width of the window and the default interpolation factors.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a window or an interpolation that belongs to another engine.
@@ -245,7 +244,7 @@ enum WordOrNumber {
 }
 
 impl WordOrNumber {
-    /// The word's value, or that of the number above 0.
+    /// The word's value, or the value made from a number above 0.
     fn read<T: Copy, E: serde::de::Error>(
         &self,
         words: &[(&str, T)],

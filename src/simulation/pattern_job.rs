@@ -19,7 +19,7 @@ use crate::imaging::Noise;
 use crate::progress::{Progress, Silent};
 use crate::setting::Setting;
 
-/// A pixelated detector, and how it is read.
+/// A pixelated detector and its read-out.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PatternsRequest {
@@ -27,12 +27,12 @@ pub struct PatternsRequest {
     pub pixels: usize,
     /// Half the width of the detector in mrad.
     pub max_angle_mrad: f64,
-    /// Adds what windows cut off the probe (see [`PatternSettings`]).
+    /// Adds the part of the probe that windows cut off (see [`PatternSettings`]).
     pub coherent_tail: bool,
     /// Sums over rings of this width in mrad up to `max_angle_mrad`, in place of pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub radial_mrad: Option<f64>,
-    /// How the detector spreads the electrons of a pixel over its neighbours; `None`: not at all.
+    /// Modulation transfer function of the detector, which spreads the electrons of a pixel over its neighbours; `None`: no spread.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mtf: Option<DetectorMtf>,
 }
@@ -55,7 +55,7 @@ impl Default for PatternsRequest {
 pub enum PatternValues<'a> {
     /// Fractions of the beam for each pixel.
     Fractions(ArrayView5<'a, f32>),
-    /// Electrons counted.
+    /// Counted electrons.
     Counts(Array5<u32>),
 }
 
@@ -68,24 +68,24 @@ pub struct PatternBand<'a> {
     pub values: PatternValues<'a>,
 }
 
-/// The least and the most seconds that reading patterns takes on so many threads.
+/// Shortest and longest time in seconds of reading patterns on this number of threads.
 pub(super) fn seconds(cost: &PatternCost, threads: usize) -> [f64; 2] {
     READ_FLOPS.map(|speed| cost.flops / speed / threads as f64)
 }
 
-/// Operations in a second by which a thread reads patterns: on a machine that does nothing else, and on a busy one.
+/// Operations per second by which a thread reads patterns: on an idle machine, and on a busy one.
 const READ_FLOPS: [f64; 2] = [8e9, 2e9];
-/// Most width in Angstrom of a window that the program chooses; the full grid then takes less.
+/// Largest width in Angstrom of a window that the program chooses. Above it the full grid takes less time.
 const MOST_WINDOW_ANGSTROM: f64 = 40.0;
-/// Width in Angstrom of the window for a probe in focus at the surface of a thin specimen: patterns of SrTiO3 (39 to 98 A) are then off
-/// by less than 0.1 % of their maximum.
+/// Width in Angstrom of the window for a probe in focus at the surface of a thin specimen. Patterns of SrTiO3 (39 to 98 A) are then off by
+/// less than 0.1 % of their maximum.
 const LEAST_WINDOW_ANGSTROM: f64 = 13.0;
 
 impl PatternsRequest {
     /// The detector.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for what is no detector, and for a transfer function of rings.
+    /// [`Error::Invalid`] for values that no detector has, and for a transfer function of rings.
     pub fn detector(&self) -> Result<PatternDetector> {
         if let Some(mtf) = &self.mtf {
             mtf.check()?;
@@ -108,8 +108,8 @@ impl PatternsRequest {
     }
 }
 
-/// The numerics for patterns: where no engine is asked for, windows that hold the probe throughout the specimen, as far as they are
-/// narrower than the cell.
+/// The numerics for patterns. Where the request names no engine, they use windows that contain the probe throughout the specimen, if these
+/// are narrower than the cell.
 pub(super) fn numerics(
     request: &SimulationRequest,
     size_angstrom: [f64; 3],
@@ -140,7 +140,7 @@ pub(super) fn settings(request: &PatternsRequest, scan: Settings) -> Result<Sett
     Ok(Settings { detectors: vec![whole], probe_step: crate::engine::ProbeStep::Scan, ..scan })
 }
 
-/// Refuses what patterns have not.
+/// Refuses settings that patterns cannot have.
 pub(super) fn check(request: &SimulationRequest) -> Result<()> {
     if request.patterns.is_none() {
         return Ok(());
@@ -159,15 +159,16 @@ pub(super) fn check(request: &SimulationRequest) -> Result<()> {
 }
 
 impl SimulationJob {
-    /// The pixelated detector and how it is read; `None` for a request for images.
+    /// The settings of the pixelated detector; `None` for a request for images.
     pub fn pattern_settings(&self) -> Option<PatternSettings> {
         self.request().patterns.as_ref().and_then(|patterns| patterns.settings().ok())
     }
 
-    /// The patterns of all probes at one defocus, number `plan`, handed to `take` by rows; electrons are counted where a dose is asked for.
+    /// Simulates the patterns of all probes at one defocus, number `plan`, and passes them to `take` by rows. Counts electrons if the
+    /// request gives a dose.
     ///
     /// # Errors
-    /// Those of [`simulate_patterns`]; a request without patterns; what `take` returns.
+    /// Errors of [`simulate_patterns`]; [`Error::Invalid`] for a request without patterns; errors of `take`.
     pub fn patterns(
         &self,
         plan: usize,
@@ -206,7 +207,7 @@ impl SimulationJob {
         simulate_patterns(plan, &frames, scan, settings, &mut take_rows, progress)
     }
 
-    /// The raster of probes that the source takes; `None` for a point source, and for images.
+    /// The raster of probes that the source needs; `None` for a point source, and for images.
     fn source_raster(&self) -> Option<SourceRaster> {
         self.request().patterns.as_ref()?;
         let optics = &self.plans()[0].settings.optics;
@@ -220,7 +221,7 @@ impl SimulationJob {
         Some(self.source_raster().map_or(*self.scan(), |raster| *raster.scan()))
     }
 
-    /// What spreads electrons over pixels, where that is asked for.
+    /// The filter that spreads electrons over pixels, if the request gives a transfer function.
     fn mtf_filter(&self, settings: &PatternSettings) -> Option<MtfFilter> {
         let mtf = self.request().patterns.as_ref()?.mtf.as_ref()?;
         Some(MtfFilter::new(mtf, settings.detector.pixels()?.pixels))
@@ -229,7 +230,7 @@ impl SimulationJob {
     /// The pattern of the beam without a specimen, at the first defocus.
     ///
     /// # Errors
-    /// A request without patterns.
+    /// [`Error::Invalid`] for a request without patterns.
     pub fn vacuum_pattern(&self) -> Result<Array2<f32>> {
         let settings = self.asked()?;
         let [ny, nx] = settings.detector.shape();
@@ -255,12 +256,12 @@ impl SimulationJob {
         Ok(found)
     }
 
-    /// What the patterns of a plan take beside its waves; nothing for images.
+    /// The cost of the patterns of a plan, in addition to its waves; `None` for images.
     pub(super) fn pattern_cost(&self, plan: &Plan) -> Option<PatternCost> {
         Some(PatternCost::new(plan, &self.pattern_scan()?, &self.pattern_settings()?))
     }
 
-    /// Bytes of memory that the patterns of a plan take beside its waves; 0 for images.
+    /// Memory in bytes of the patterns of a plan, in addition to its waves; 0 for images.
     pub(super) fn pattern_bytes(&self, plan: &Plan) -> u64 {
         let (Some(cost), Some(settings)) = (self.pattern_cost(plan), self.pattern_settings())
         else {
@@ -278,7 +279,8 @@ impl SimulationJob {
         })
     }
 
-    /// Electrons on every pixel of some rows; `first` is the number of the first pattern of all, and the electrons of a probe.
+    /// Counts electrons on every pixel of some rows. `first` is the number of the request's first pattern, `electrons` the electrons of a
+    /// probe.
     fn counted(&self, rows: &PatternRows<'_>, (first, electrons): (usize, f64)) -> Array5<u32> {
         let mut counts = Array5::zeros(rows.data.dim());
         let (probes, columns) = (self.scan().len(), self.scan().shape[1]);

@@ -1,11 +1,11 @@
-//! What a simulation will do and take, as numbers.
+//! The plan of a simulation and its cost, as numbers.
 
 use serde::Serialize;
 
 use super::time_estimate;
 use crate::engine::{Algorithm, Cost, Grid, Plan};
 
-/// What a simulation will do.
+/// The plan of a simulation and its cost.
 #[derive(Debug, Clone, Serialize)]
 pub struct PlanReport {
     /// Algorithm and its parameters.
@@ -30,15 +30,15 @@ pub struct PlanReport {
     pub configurations: u32,
     /// Probes per simulation.
     pub probes: usize,
-    /// The largest arrays, in bytes.
+    /// Memory of the largest arrays in bytes.
     pub memory_bytes: u64,
-    /// Threads.
+    /// Number of threads.
     pub threads: usize,
-    /// Estimated time in seconds, from the speed of transforms measured now: the middle of the range.
+    /// Estimated time in seconds, from the current speed of transforms: the middle of the range.
     pub estimated_time_s: f64,
-    /// The least, on a machine that does nothing else, and the most, with what else runs now.
+    /// Shortest time in seconds, on an idle machine, and longest time, under the machine's current load.
     pub estimated_range_s: [f64; 2],
-    /// Things to know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
@@ -58,11 +58,11 @@ pub struct GridReport {
 pub struct SliceReport {
     /// Number of slices.
     pub count: usize,
-    /// By a wave, in the mean.
+    /// Mean number of slices that a wave passes.
     pub passed: f64,
-    /// Thickness of the thinnest in Angstrom.
+    /// Thickness of the thinnest slice in Angstrom.
     pub thinnest_angstrom: f64,
-    /// Thickness of the thickest in Angstrom.
+    /// Thickness of the thickest slice in Angstrom.
     pub thickest_angstrom: f64,
 }
 
@@ -77,7 +77,7 @@ impl From<&Grid> for GridReport {
 }
 
 impl PlanReport {
-    /// Of a plan that runs `runs` times and costs so much each time. The speed of the machine is measured, in 0.2 s.
+    /// Reports a plan that runs `runs` times, each at this cost. Measures the speed of the machine for 0.2 s.
     pub fn new(plan: &Plan, cost: &Cost, runs: usize) -> Self {
         let thickness = plan.slices.boundaries.windows(2).map(|w| w[1] - w[0]);
         let slices = SliceReport {
@@ -116,7 +116,7 @@ impl PlanReport {
     }
 }
 
-/// The middle of a range that is known up to a factor.
+/// The geometric mean of a range that is known up to a factor.
 fn middle([least, most]: [f64; 2]) -> f64 {
     (least * most).sqrt()
 }

@@ -11,7 +11,7 @@ use crate::optics::Optics;
 use crate::progress::Progress;
 use crate::setting::Setting;
 
-/// Angle in mrad that grids chosen by the program carry; as for scans with the default detector.
+/// Angle in mrad that automatic grids carry, as for scans with the default detector.
 const ANGLE_MRAD: f64 = 200.0;
 
 /// Exit waves and their images.
@@ -23,7 +23,7 @@ pub struct PlaneWaveImages {
     pub images: Vec<Array3<f32>>,
 }
 
-/// The settings for a plane wave: no detector decides about the grid.
+/// The settings for a plane wave, whose grid does not depend on a detector.
 pub(super) fn settings(scan: Settings) -> Result<Settings> {
     if scan.algorithm != Algorithm::Multislice {
         let expected = "a plane wave is propagated by multislice; leave the engine out";

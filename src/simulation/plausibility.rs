@@ -1,4 +1,4 @@
-//! Likely slips: values that are possible, but hardly meant. Each is an error or a warning that carries its [`Setting`].
+//! Finds likely slips: values that are possible, but hardly intended. Each gives an error or a warning with its [`Setting`].
 
 use std::path::Path;
 
@@ -14,17 +14,17 @@ const LEAST_ANGLE_MRAD: f64 = 1.0;
 const LEAST_SEMIANGLE_MRAD: f64 = 0.1;
 /// Edge of a cell in Angstrom below which a probe meets its own periodic images.
 const NARROW_CELL_ANGSTROM: f64 = 10.0;
-/// Endings of files that hold HDF5.
+/// Extensions of HDF5 files.
 const HDF5: [&str; 5] = ["h5", "hdf5", "hdf", "he5", "nxs"];
-/// Lengths in Angstrom that are the same.
+/// Lengths in Angstrom that differ by less are equal.
 const SAME_ANGSTROM: f64 = 1e-6;
 
-/// Something that a user should know before a simulation.
+/// A warning for the user before a simulation.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Warning {
-    /// The setting that it is about; a front end names its own option for it.
+    /// The setting that the warning is about; a front end adds its own option for it.
     pub setting: Option<Setting>,
-    /// One sentence or two.
+    /// One or two sentences.
     pub message: String,
 }
 
@@ -41,10 +41,10 @@ impl From<String> for Warning {
     }
 }
 
-/// Refuses detectors that no file can name, and those whose angles look like radians.
+/// Refuses detectors with names that no file can have, and detectors whose angles look like radians.
 ///
 /// # Errors
-/// [`Error::Invalid`] with the angles that are meant.
+/// [`Error::Invalid`] with the intended angles.
 pub fn check_detector(detector: &Detector) -> Result<()> {
     detector.validate()?;
     let Detector { name, inner_mrad: inner, outer_mrad: outer, .. } = detector;
@@ -61,7 +61,7 @@ pub fn check_detector(detector: &Detector) -> Result<()> {
 /// Refuses a semiangle that looks like radians.
 ///
 /// # Errors
-/// [`Error::Invalid`] with the semiangle that is meant.
+/// [`Error::Invalid`] with the intended semiangle.
 pub fn check_semiangle(semiangle_mrad: f64) -> Result<()> {
     if !(1e-3..LEAST_SEMIANGLE_MRAD).contains(&semiangle_mrad) {
         return Ok(());
@@ -76,7 +76,7 @@ pub fn check_semiangle(semiangle_mrad: f64) -> Result<()> {
 /// Refuses an energy that looks like electronvolts.
 ///
 /// # Errors
-/// [`Error::Invalid`] with the energy that is meant.
+/// [`Error::Invalid`] with the intended energy.
 pub fn check_energy(energy_kev: f64) -> Result<()> {
     if !(1e4..3e6).contains(&energy_kev) {
         return Ok(());
@@ -85,7 +85,7 @@ pub fn check_energy(energy_kev: f64) -> Result<()> {
     Err(Error::invalid(Setting::EnergyKev, energy_kev, expected))
 }
 
-/// What to say of an azimuth that looks like degrees: it is more than a turn.
+/// A warning about an azimuth that looks like degrees: it is more than a turn.
 pub fn check_azimuth(aberration: &Aberration) -> Option<Warning> {
     let Aberration { order, symmetry, azimuth_rad, .. } = *aberration;
     let turns = azimuth_rad.abs() > std::f64::consts::TAU + 1e-3;
@@ -99,7 +99,7 @@ pub fn check_azimuth(aberration: &Aberration) -> Option<Warning> {
     })
 }
 
-/// Refuses coefficients that are given twice, since their sum is hardly meant; the defocus is one of them.
+/// Refuses coefficients that are given twice, since their sum is hardly intended. The defocus is one of the coefficients.
 ///
 /// # Errors
 /// [`Error::Invalid`] naming the coefficient.
@@ -125,10 +125,10 @@ pub fn check_aberrations(
     Ok(())
 }
 
-/// Refuses names of outputs that promise another format than HDF5.
+/// Refuses names of output files that promise another format than HDF5.
 ///
 /// # Errors
-/// [`Error::Invalid`] with the name that is meant.
+/// [`Error::Invalid`] with the intended name.
 pub fn check_hdf5_name(path: &Path) -> Result<()> {
     let Some(ending) = path.extension() else { return Ok(()) };
     let ending = ending.to_string_lossy().to_ascii_lowercase();
@@ -142,7 +142,7 @@ pub fn check_hdf5_name(path: &Path) -> Result<()> {
     Err(Error::invalid(Setting::OutputName, path.display(), expected))
 }
 
-/// What to say of a scan that leaves the cell of `size` (x, y) in Angstrom, which repeats.
+/// A warning about a scan that leaves the cell of `size` (x, y) in Angstrom, which repeats.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a scan that is longer than two cells.
@@ -178,8 +178,8 @@ fn ends(scan: &Scan) -> [[f64; 2]; 2] {
     [[x, x + dx * columns as f64], [y, y + dy * rows as f64]]
 }
 
-/// What to say of a cell of `size` (x, y) in Angstrom that is narrower than a probe's tails. `repeat` is how often a smaller one was
-/// repeated to make it.
+/// A warning about a cell of `size` (x, y) in Angstrom that is narrower than a probe's tails. `repeat` holds the number of repetitions of
+/// the smaller cell that it was made from.
 pub(super) fn check_cell(size: [f64; 2], repeat: [usize; 3]) -> Option<Warning> {
     let [x, y] = size;
     (x.min(y) < NARROW_CELL_ANGSTROM).then(|| {
@@ -213,7 +213,7 @@ pub(super) fn check_places(places: &[[f64; 2]], size: [f64; 2]) -> Result<()> {
     Err(Error::invalid(Setting::Region, format!("places[{number}] at {x}, {y} A"), expected))
 }
 
-/// Rounded, so that 0.068 rad are 68 mrad.
+/// Rounds a value, so that 0.068 rad become 68 mrad.
 fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }

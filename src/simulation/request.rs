@@ -1,4 +1,4 @@
-//! Everything that decides the images of some atoms.
+//! The request: everything that decides the images of some atoms.
 
 use std::path::{Path, PathBuf};
 
@@ -12,14 +12,14 @@ use super::scan::ScanRequest;
 use crate::error::{Error, Result};
 use crate::files::whole_file;
 
-/// Most bytes of a file with a request.
+/// Largest size of a request's file in bytes.
 const MOST_BYTES: usize = 1 << 20;
 
-/// Everything that decides the images of some atoms, with a default for all but the atoms. Unknown keys are refused.
+/// Everything that decides the images of some atoms. Each part except the atoms has a default. Unknown keys are refused.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulationRequest {
-    /// The atoms: a structure file, or atoms at hand.
+    /// The atoms: a structure file, or atoms in memory.
     pub structure: AtomsSource,
     /// Thicknesses in Angstrom at which images are recorded, each moved to the nearest slice boundary; empty: at the exit surface.
     #[serde(default)]
@@ -27,28 +27,28 @@ pub struct SimulationRequest {
     /// A plane wave and an objective lens in place of a probe: conventional imaging.
     #[serde(default)]
     pub plane_wave: bool,
-    /// Electrons per square Angstrom, which are then counted; `None`: images without noise.
+    /// Dose in electrons per square Angstrom; the electrons are then counted. `None`: images without noise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub electrons_per_angstrom2: Option<f64>,
     /// The diffraction pattern of every probe, in place of images; `None`: images.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub patterns: Option<PatternsRequest>,
-    /// What is made of the atoms.
+    /// Direction, size, vibrations and frames of the atoms.
     #[serde(default)]
     pub specimen: SpecimenRequest,
     /// The lens, the source and the detectors.
     #[serde(default)]
     pub microscope: MicroscopeRequest,
-    /// Where probes stand.
+    /// Positions of the probes.
     #[serde(default)]
     pub scan: ScanRequest,
-    /// How waves are propagated.
+    /// Engine, grid, slices and probes.
     #[serde(default)]
     pub numerics: NumericsRequest,
 }
 
 impl SimulationRequest {
-    /// The defaults for some atoms.
+    /// The request with defaults for everything but the atoms.
     pub fn new(structure: AtomsSource) -> Self {
         SimulationRequest {
             structure,
@@ -63,7 +63,7 @@ impl SimulationRequest {
         }
     }
 
-    /// The defaults for the atoms of a structure file.
+    /// The request with defaults for everything but the structure file.
     pub fn of_file(path: impl Into<PathBuf>) -> Self {
         Self::new(AtomsSource::File(path.into()))
     }
@@ -71,7 +71,7 @@ impl SimulationRequest {
     /// Reads a request (TOML). The path of its structure is relative to the folder of the file.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Parse`] with the line, for anything that is no request.
+    /// [`Error::Io`]; [`Error::Parse`] with the line, for a file that is no request.
     pub fn from_toml(path: &Path) -> Result<Self> {
         let text = whole_file::read_text(path, MOST_BYTES)?;
         let mut request: Self = toml::from_str(&text).map_err(|e| {
@@ -86,11 +86,10 @@ impl SimulationRequest {
         Ok(request)
     }
 
-    /// The request as TOML, with every value that has one; `folder` is that of the file it is for, and paths inside it become
-    /// relative to it.
+    /// Writes the request as TOML, with all its values. Paths inside `folder`, the folder of the file, are written relative to it.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for atoms at hand, which no file names, and seeds above 2^63, which TOML has not.
+    /// [`Error::Invalid`] for atoms in memory, which no file names, and for seeds above 2^63, which TOML cannot hold.
     pub fn to_toml(&self, folder: &Path) -> Result<String> {
         let AtomsSource::File(structure) = &self.structure else {
             let expected =
@@ -110,7 +109,7 @@ impl SimulationRequest {
 }
 
 fn absolute(path: &Path) -> PathBuf {
-    // The folder of a bare name is the current one.
+    // The folder of a file name without a folder is the current one.
     let path = if path.as_os_str().is_empty() { Path::new(".") } else { path };
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
@@ -121,7 +120,7 @@ mod tests {
     use crate::optics::Aberration;
     use crate::simulation::{Engine, LengthUnit, SigmaChoice};
 
-    /// A request in which nothing has its default.
+    /// A request in which no value is the default.
     fn full() -> SimulationRequest {
         let mut request = SimulationRequest::of_file("/data/si.cif");
         request.thicknesses_angstrom = vec![20.0, 40.5];

@@ -1,4 +1,4 @@
-//! Where probes stand.
+//! Positions of the probes of a request.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,9 +7,9 @@ use crate::error::{Error, Result};
 use crate::optics::Optics;
 use crate::setting::Setting;
 
-/// Most probe positions accepted.
+/// Largest number of probe positions.
 const MOST_PROBES: f64 = 1e9;
-/// Lengths in Angstrom that are the same.
+/// Lengths in Angstrom that differ by less are equal.
 const SAME_ANGSTROM: f64 = 1e-6;
 
 /// A unit of lengths in the simulated box.
@@ -37,7 +37,7 @@ impl LengthUnit {
     }
 }
 
-/// Probe positions: a raster over a part of the simulated box, from `start` to `end`, itself not scanned.
+/// Probe positions: a raster over a part of the simulated box, from `start` to `end`; `end` is not a probe position.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ScanRequest {
@@ -49,11 +49,11 @@ pub struct ScanRequest {
     pub end: Option<[f64; 2]>,
     /// Unit of start and end.
     pub unit: LengthUnit,
-    /// Distance of probes in Angstrom, made a little smaller so that it divides the scan; `None`: the Nyquist limit of the image,
-    /// wavelength / (4 semiangle).
+    /// Distance of probes in Angstrom, reduced a little so that it divides the scan; `None`: the Nyquist limit of the image, wavelength /
+    /// (4 semiangle).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step_angstrom: Option<f64>,
-    /// Number of probes along x and y, in place of their distance.
+    /// Number of probes along x and y, instead of their distance.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub points: Option<[usize; 2]>,
 }
@@ -106,7 +106,7 @@ impl ScanRequest {
     }
 }
 
-/// The coarsest step that samples an incoherent image: its band ends at twice the semiangle.
+/// The largest step that samples an incoherent image: its band ends at twice the semiangle.
 fn nyquist(optics: &Optics) -> f64 {
     optics.wavelength_angstrom() / (4e-3 * optics.semiangle_mrad)
 }

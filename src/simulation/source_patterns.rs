@@ -1,8 +1,8 @@
 //! The size of the electron source in diffraction patterns.
 //!
-//! The pattern at a place is the mean of those of point sources around it, weighted by the intensity of the source. The integral over
-//! the Gaussian becomes a sum over a raster of probes (each axis by itself): the scan, refined where its steps are wide beside the
-//! source. Rows are taken as they come, and few are held.
+//! The pattern at a place is the mean of the patterns of point sources around it, weighted by the intensity of the source. The integral
+//! over the Gaussian becomes a sum over a raster of probes, along one axis after the other. The raster is the scan, refined where its steps
+//! are wide compared with the source. Rows are processed in their order, and only a few are in memory.
 
 use ndarray::{Array5, ArrayView5};
 use rayon::prelude::*;
@@ -13,35 +13,35 @@ use crate::engine::patterns::PatternRows;
 use crate::engine::{Scan, Source};
 use crate::error::Result;
 
-/// The raster resolves the finest waves of the patterns along the scan, and this over the standard deviation of the source beyond: what is
-/// folded over is then below 0.03 %, and the sum is off by less than 0.1 % of the maximum (tests).
+/// The raster resolves the patterns' finest waves along the scan, and frequencies higher by this number divided by the standard deviation
+/// of the source. The aliased part is then below 0.03 %, and the error of the sum below 0.1 % of the maximum (tests).
 const FOLDED: f64 = 0.65;
-/// Standard deviations after which the source ends; 0.01 % of it is left out, and the rest has the sum 1.
+/// Standard deviations at which the source is cut off. The cut leaves out 0.01 %; the remaining weights sum to 1.
 const REACH: f64 = 4.0;
 
-/// The raster of probes for a source, and what they count for.
+/// The raster of probes for a source, and their weights.
 #[derive(Debug, Clone)]
 pub(super) struct SourceRaster {
     scan: Scan,
-    /// Steps of the raster in a step of the scan, along x and y.
+    /// Number of raster steps in a step of the scan, along x and y.
     times: [usize; 2],
-    /// Weights of the probes along x and y, the middle one at the place of the scan.
+    /// Weights of the probes along x and y. The middle one is at the place of the scan.
     weights: [Vec<f32>; 2],
     columns: usize,
     rows: usize,
 }
 
-/// Rows of the raster on their way to rows of the scan.
+/// Collects rows of the raster and sums them to rows of the scan.
 pub(super) struct SourceRows<'a> {
     raster: &'a SourceRaster,
-    /// Rows that are summed along x: the row of the raster, and (thickness, column, ky, kx).
+    /// Rows already summed along x: the number of the raster's row, and values (thickness, column, ky, kx).
     held: VecDeque<(usize, Vec<f32>)>,
     next: usize,
 }
 
 impl SourceRaster {
-    /// For a Gaussian source, and patterns that hold waves up to `highest_k` (1/Angstrom) along the scan: twice the probe's semiangle over the
-    /// wavelength.
+    /// Makes the raster for a Gaussian source, and for patterns with waves up to `highest_k` (1/Angstrom) along the scan: twice the probe's
+    /// semiangle over the wavelength.
     pub fn new(source: Source, scan: &Scan, highest_k: f64) -> Self {
         let sigma = source.fwhm_angstrom / (8.0 * LN_2).sqrt();
         let finest = highest_k + FOLDED / sigma;
@@ -69,19 +69,19 @@ impl SourceRaster {
         &self.scan
     }
 
-    /// Bytes of the rows that are held at a time, for patterns of `values` values at all thicknesses.
+    /// Memory in bytes of the rows that are kept at a time, for patterns of `values` values at all thicknesses.
     pub fn held_bytes(&self, values: usize) -> u64 {
         ((self.weights[1].len() + 1) * self.columns * values * size_of::<f32>()) as u64
     }
 
-    /// The rows of the scan, from none of the raster.
+    /// Starts collecting rows, before any row of the raster.
     pub fn rows(&self) -> SourceRows<'_> {
         SourceRows { raster: self, held: VecDeque::new(), next: 0 }
     }
 }
 
 impl SourceRows<'_> {
-    /// Takes rows of the raster, and hands on the rows of the scan that they complete.
+    /// Adds rows of the raster, and passes on the rows of the scan that they complete.
     pub fn push(
         &mut self,
         rows: &PatternRows<'_>,
@@ -91,7 +91,7 @@ impl SourceRows<'_> {
         let [records, count, _, ny, nx] = *rows.data.shape() else { return Ok(()) };
         for r in 0..count {
             let row = rows.first_row + r;
-            // Between places far apart lie rows that no place needs.
+            // The rows between two distant places are not needed.
             if self.next >= self.raster.rows || row < self.next * times {
                 continue;
             }
@@ -117,7 +117,7 @@ impl SourceRows<'_> {
         Ok(())
     }
 
-    /// A row of the raster, summed along x at the columns of the scan.
+    /// Sums a row of the raster along x at the columns of the scan.
     fn across(&self, data: &ArrayView5<'_, f32>, row: usize) -> Vec<f32> {
         let [records, _, _, ny, nx] = *data.shape() else { return Vec::new() };
         let columns = self.raster.columns;
@@ -181,7 +181,7 @@ mod tests {
         largest
     }
 
-    /// Up to the finest waves that patterns of a probe of 21 mrad have at 200 kV.
+    /// Tests up to the finest waves in patterns of a probe of 21 mrad at 200 kV.
     #[test]
     fn waves_are_damped_as_by_the_gaussian() {
         for step in [[0.1, 0.12], [0.3, 0.25], [0.9, 1.6], [4.0, 3.0]] {

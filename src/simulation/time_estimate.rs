@@ -1,4 +1,4 @@
-//! Speed of this machine, and how long a plan will take.
+//! The speed of this machine, and the time that a plan needs.
 
 use std::time::{Duration, Instant};
 
@@ -7,18 +7,18 @@ use rayon::prelude::*;
 use crate::engine::{Cost, Plan};
 use crate::fft::{Fft2, good_size};
 
-/// How long the speed is measured.
+/// Duration of the measurement of speed.
 const MEASURED: Duration = Duration::from_millis(200);
-/// Transforms of more points than this are no slower by the operation than smaller ones, but take memory.
+/// Transforms with more points than this are not slower per operation than smaller ones, but need memory.
 const MOST_POINTS: usize = 1 << 22;
-/// How far times have been off on a machine that does nothing else, shorter and longer.
+/// Observed ratios of real to estimated time on an idle machine: shortest and longest.
 const OFF: [f64; 2] = [0.7, 1.5];
 
 /// Nominal floating-point operations per second, on all threads at once.
 struct MachineSpeed {
-    /// With what else runs on the machine now.
+    /// Speed under the machine's current load.
     now: f64,
-    /// As if nothing else ran.
+    /// Speed of an idle machine.
     alone: f64,
 }
 
@@ -47,7 +47,7 @@ fn speed(plan: &Plan) -> MachineSpeed {
     MachineSpeed { now, alone: alone.max(now) }
 }
 
-/// Seconds that this thread has computed; where the system does not say, those of the clock on the wall.
+/// Seconds that this thread has computed, or of the wall clock where the system does not report them.
 fn thread_seconds() -> f64 {
     #[cfg(unix)]
     {
@@ -61,7 +61,7 @@ fn thread_seconds() -> f64 {
     }
 }
 
-/// Estimated time in seconds, at least and at most, for `runs` simulations that each cost so much.
+/// Shortest and longest estimated time in seconds of `runs` simulations, each at this cost.
 pub fn seconds(plan: &Plan, cost: &Cost, runs: usize) -> [f64; 2] {
     if runs == 0 {
         return [0.0; 2];
@@ -69,12 +69,12 @@ pub fn seconds(plan: &Plan, cost: &Cost, runs: usize) -> [f64; 2] {
     range(runs as f64 * cost.nominal_flops(), &speed(plan))
 }
 
-/// Seconds that so many operations take at least, where the machine has nothing else to do, and at most, with what else runs now.
+/// Shortest time in seconds of these operations, on an idle machine, and longest time, under the current load.
 fn range(flops: f64, speed: &MachineSpeed) -> [f64; 2] {
     [OFF[0] * flops / speed.alone, OFF[1] * flops / speed.now]
 }
 
-/// Number of threads that compute.
+/// Number of computing threads.
 pub fn threads() -> usize {
     rayon::current_num_threads()
 }
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
     use crate::engine::{Scan, Settings};
 
-    /// What else runs makes the most longer, and leaves the least alone.
+    /// Other load makes the longest time longer, and leaves the shortest unchanged.
     #[test]
     fn ranges_of_time_hold_what_else_runs() {
         let quiet = MachineSpeed { now: 1e9, alone: 1e9 };

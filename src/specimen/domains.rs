@@ -382,8 +382,8 @@ impl Stretch for OrderParameter {
 /// The rule that is broken if the sites of the second phase do not match.
 const SAME_SITES: &str = "both crystals of `domains` need the same elements at the same sites";
 
-/// Computes the distance of each site of the first phase from its counterpart in the second, in nm; lengths along x are those of the second
-/// cell, other lengths those of the first.
+/// Computes the distance of each site of the first phase from its counterpart in the second, in nm; lengths along x belong to the second
+/// cell, other lengths to the first.
 fn shifts(first: &Structure, second: &Structure) -> Result<Vec<[f64; 3]>> {
     let (a, b) = (first.orthogonal_box()?, second.orthogonal_box()?);
     let fault = |value: String, expected: &str| {

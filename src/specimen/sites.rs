@@ -27,7 +27,7 @@ pub struct SpecimenSite {
     pub position_nm: [f64; 3],
     /// Atomic number; of a vacancy, the atomic number of the missing atom.
     pub number: u8,
-    /// What the site holds.
+    /// Contents of the site.
     pub kind: SiteKind,
 }
 

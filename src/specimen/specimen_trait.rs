@@ -43,7 +43,7 @@ pub struct ParticleTruth {
     pub diameter_nm: f64,
     /// Shape: `wulff`, `icosahedral`, `decahedral` ... (at most 16 ASCII characters).
     pub morphology: String,
-    /// Rotation from the particle's own axes to those of the field as a unit quaternion (w, x, y, z).
+    /// Rotation from the axes of the particle to the axes of the field as a unit quaternion (w, x, y, z).
     pub orientation: [f64; 4],
 }
 
@@ -89,7 +89,7 @@ pub struct ThinFilm {
     pub depth_nm: [f64; 2],
     /// Mean number of atoms per square nm.
     pub atoms_per_nm2: f64,
-    /// Bits of keys that are set in all atoms except those of the film.
+    /// Bits of keys that are set in all atoms except the atoms of the film.
     pub other_keys: u64,
 }
 

@@ -26,7 +26,7 @@ pub struct Stripe {
 /// in parallel, so memory holds several for each thread.
 ///
 /// # Errors
-/// Those of `visit`, and [`Error::Interrupted`].
+/// Errors of `visit`, and [`Error::Interrupted`].
 pub fn for_each_stripe(
     specimen: &dyn Specimen,
     field: &Field,

@@ -1,11 +1,11 @@
-//! Places that can be filled in several ways, such as a molecule that stands in one of two orientations.
+//! Places that can be filled in several ways, for example by a molecule in one of two orientations.
 
 use super::{Atom, Structure};
 
-/// One of the ways in which a place can be filled. Atoms of one way stand together; ways of one place exclude each other.
+/// One of the ways in which a place can be filled. The atoms of one way occur together; the ways of one place exclude each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Alternative {
-    /// Number of the place; each place of each cell has its own.
+    /// Number of the place; every place in every cell has a different number.
     pub place: u32,
     /// Number of the way in which the place is filled.
     pub choice: u32,
@@ -13,7 +13,7 @@ pub struct Alternative {
 
 /// Numbers the places of repeated cells.
 pub(super) struct CopiedPlaces {
-    /// Places of one cell.
+    /// Number of places in one cell.
     each: u32,
 }
 
@@ -23,7 +23,7 @@ impl CopiedPlaces {
         CopiedPlaces { each: places.map(|a| a.place.saturating_add(1)).max().unwrap_or(0) }
     }
 
-    /// The atom as one of the cell number `copy`, with places of its own.
+    /// Returns the atom in cell number `copy`, with the place number of that cell.
     pub fn atom(&self, atom: &Atom, copy: usize) -> Atom {
         let moved = |a: Alternative| Alternative {
             place: a.place.wrapping_add(self.each.wrapping_mul(copy as u32)),

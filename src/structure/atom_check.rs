@@ -1,4 +1,4 @@
-//! Checks of atoms that come from no file.
+//! Checks of atoms that do not come from a file.
 
 use super::overlap::Overlap;
 use super::source_text::{FARTHEST, check_cell};
@@ -7,11 +7,11 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 
 impl Structure {
-    /// Checks atoms that come from no file as those of a file are checked: a cell with volume, finite positions, elements that
-    /// exist, occupancies above 0, to 1, and no two atoms in one place.
+    /// Checks atoms like the atoms of a file: the cell has a volume, positions are finite, elements exist, occupancies lie above 0 and up
+    /// to 1, and no two atoms are in one place.
     ///
     /// # Errors
-    /// [`Error::Invalid`] that names the atom, by its number from 0.
+    /// [`Error::Invalid`] with the number of the atom, from 0.
     pub fn checked(self) -> Result<Self> {
         let fault = |value: String, expected: String| {
             Err(Error::invalid(Setting::StructureFile, value, expected))

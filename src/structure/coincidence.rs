@@ -1,20 +1,20 @@
 //! Coincidence angles of symmetric tilt boundaries about the beam, for lattices that are square or hexagonal across it.
 //!
-//! The boundary lies along a lattice vector, which half the misorientation turns onto y. On a square lattice that is (k, h) with
-//! tan(theta / 2) = k / h, where h and k have no common divisor, and Sigma = h^2 + k^2, or half of that when both are odd. On a
-//! hexagonal one, in a centred box of edges a and sqrt(3) a, Sigma = h^2 + 3 k^2 or 3 h^2 + k^2 without their factors of 4 and 3
-//! (S. Ranganathan, Acta Cryst. 21 (1966) 197).
+//! The boundary lies along a lattice vector, which half the misorientation rotates onto y. On a square lattice that is (k, h) with
+//! tan(theta / 2) = k / h, where h and k have no common divisor, and Sigma = h^2 + k^2, or half of that if both are odd. On a hexagonal
+//! lattice, in a centred box of edges a and sqrt(3) a, Sigma = h^2 + 3 k^2 or 3 h^2 + k^2 without their factors of 4 and 3 (S. Ranganathan,
+//! Acta Cryst. 21 (1966) 197).
 
 use super::lattice::gcd;
 
 /// Largest h that is searched.
 const MAX_INDEX: u32 = 60;
-/// How far a stated angle may be from the coincidence angle, in degrees.
+/// Largest difference of a stated angle from the coincidence angle, in degrees.
 const TOLERANCE_DEG: f64 = 0.05;
 /// Relative difference of lengths that count as equal.
 const SAME_LENGTH: f64 = 1e-4;
 
-/// A lattice seen along the beam, by its rectangular cell.
+/// A lattice in projection along the beam, described by its rectangular cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlaneLattice {
     /// a x a.
@@ -26,7 +26,7 @@ pub enum PlaneLattice {
 }
 
 impl PlaneLattice {
-    /// That of a crystal's cell, whose edges are in Angstrom.
+    /// Returns the lattice of a crystal's cell, whose edges are in Angstrom.
     ///
     /// # Errors
     /// A sentence for other lattices.
@@ -46,7 +46,7 @@ impl PlaneLattice {
         })
     }
 
-    /// Twice the lattice vector (k, h) in units of the cell's first edge, if the lattice is centred; else the vector itself.
+    /// Returns twice the lattice vector (k, h) in units of the cell's first edge if the lattice is centred; else the vector itself.
     fn vector(self, [k, h]: [f64; 2]) -> [f64; 2] {
         match self {
             PlaneLattice::Square => [k, h],
@@ -55,7 +55,7 @@ impl PlaneLattice {
         }
     }
 
-    /// Area of the primitive cell in units of the square of the cell's first edge.
+    /// Returns the area of the primitive cell in units of the square of the cell's first edge.
     fn area(self) -> f64 {
         match self {
             PlaneLattice::Square => 1.0,
@@ -64,34 +64,34 @@ impl PlaneLattice {
         }
     }
 
-    /// Greatest half angle in degrees before the angles repeat.
+    /// Returns the greatest half angle in degrees before the angles repeat.
     fn most_half_deg(self) -> f64 {
         if self == PlaneLattice::Square { 45.0 } else { 30.0 }
     }
 }
 
-/// An exact half angle.
+/// Half of an exact coincidence angle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct HalfAngle {
     /// The lattice.
     pub lattice: PlaneLattice,
     /// Index of the boundary's direction along the second edge of the cell.
     pub h: u32,
-    /// Along the first edge.
+    /// Index of the boundary's direction along the first edge.
     pub k: u32,
 }
 
 impl HalfAngle {
-    /// Half the misorientation in radians.
+    /// Returns half the misorientation in radians.
     pub fn radians(self) -> f64 {
         let [across, along] = self.vector();
         libm::atan2(across, along)
     }
-    /// Distance between neighbouring lattice lines parallel to the boundary, in units of the cell's first edge.
+    /// Returns the distance between neighbouring lattice lines parallel to the boundary, in units of the cell's first edge.
     pub fn line_spacing(self) -> f64 {
         self.lattice.area() / self.period()
     }
-    /// Period along the boundary, in units of the cell's first edge.
+    /// Returns the period along the boundary, in units of the cell's first edge.
     pub fn period(self) -> f64 {
         let [across, along] = self.vector();
         let centred = self.lattice != PlaneLattice::Square && self.h % 2 == self.k % 2;
@@ -103,7 +103,7 @@ impl HalfAngle {
     fn degrees(self) -> f64 {
         2.0 * self.radians().to_degrees()
     }
-    /// The coincidence index, if the angle has one of its own.
+    /// Returns the coincidence index; `None` if the angle has no index of its own.
     fn index(self) -> Option<u32> {
         let HalfAngle { h, k, .. } = self;
         if gcd(h, k) != 1 || self.degrees() > 2.0 * self.lattice.most_half_deg() - 1e-9 {
@@ -126,7 +126,7 @@ impl HalfAngle {
     }
 }
 
-/// [`half_angle`] of the lattice of a crystal's cell, whose edges are in Angstrom.
+/// Finds the [`half_angle`] of the lattice of a crystal's cell, whose edges are in Angstrom.
 ///
 /// # Errors
 /// As [`PlaneLattice::of`] and [`half_angle`].
@@ -134,10 +134,10 @@ pub fn half_angle_in(cell: [f64; 3], sigma: u32, degrees: f64) -> Result<HalfAng
     half_angle(PlaneLattice::of(cell)?, sigma, degrees)
 }
 
-/// The boundary of coincidence index `sigma` whose misorientation is `degrees`.
+/// Finds the boundary of coincidence index `sigma` whose misorientation is `degrees`.
 ///
 /// # Errors
-/// A sentence that names the angles which `sigma` has.
+/// A sentence with the angles of this `sigma`.
 pub fn half_angle(lattice: PlaneLattice, sigma: u32, degrees: f64) -> Result<HalfAngle, String> {
     let of_sigma: Vec<HalfAngle> = (1..=MAX_INDEX)
         .flat_map(|h| (1..=h).map(move |k| HalfAngle { lattice, h, k }))
@@ -174,8 +174,8 @@ mod tests {
         assert_eq!(half_angle(lattice, 5, 53.13), Ok(HalfAngle { lattice, h: 2, k: 1 }));
     }
 
-    /// Angles of graphene's boundaries (O. V. Yazyev and S. G. Louie, Phys. Rev. B 81 (2010) 195420: 21.8 and 32.2 degrees), whose
-    /// periods are those of the lattice vectors (2, 1) and (3, 2): sqrt(7) a and sqrt(13) a.
+    /// Angles of graphene's boundaries (O. V. Yazyev and S. G. Louie, Phys. Rev. B 81 (2010) 195420: 21.8 and 32.2 degrees). Their periods
+    /// are the lengths of the lattice vectors (2, 1) and (3, 2): sqrt(7) a and sqrt(13) a.
     #[test]
     fn hexagonal_lattices_have_their_own() {
         let root = 3f64.sqrt();
@@ -185,7 +185,7 @@ mod tests {
                 let found = half_angle(lattice, sigma, degrees).unwrap();
                 assert!((found.degrees() - degrees).abs() < 1e-3, "{found:?}");
                 let period = found.period() * edge;
-                // The boundary lies along a lattice vector: its square is a whole number of a^2.
+                // The boundary lies along a lattice vector, so the square of its period is a whole number of a^2.
                 let square = period * period;
                 assert!((square - square.round()).abs() < 1e-9, "{sigma} {degrees}: {square}");
                 let lines = found.line_spacing() * edge * period;

@@ -1,25 +1,25 @@
-//! Crystals as specimens see them: columns of atoms along the beam on a rectangular lattice.
+//! Crystals as columns of atoms along the beam on a rectangular lattice, from which specimens are built.
 
 use crate::error::{Error, Result};
 use crate::structure::Structure;
 
-/// Atoms of one column are this near in projection, in Angstrom.
+/// Largest distance in projection of atoms of one column, in Angstrom.
 const SAME_COLUMN_ANGSTROM: f64 = 0.02;
-/// Fractions of the cell that count as equal.
+/// Largest difference of fractions of the cell that count as equal.
 const SAME_FRACTION: f64 = 1e-3;
-/// Sites of a cell that the keys of specimens can tell apart.
+/// Number of sites of a cell that the keys of specimens can distinguish.
 pub const MOST_SITES: usize = 1 << 10;
-/// Chains of one column that `ColumnOutcome` of boundaries can tell apart.
+/// Number of chains of one column that `ColumnOutcome` of boundaries can distinguish.
 const MOST_CHAINS: usize = 64;
 
 /// A row of equal atoms along the beam, one per unit cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Chain {
-    /// Height in the unit cell, as a fraction of it.
+    /// Height in the unit cell, as a fraction of the cell's edge.
     pub z: f64,
     /// Atomic number.
     pub number: u8,
-    /// Which site of the cell it is.
+    /// Number of the site in the cell.
     pub site: usize,
 }
 
@@ -42,8 +42,8 @@ pub struct ColumnCrystal {
 }
 
 impl ColumnCrystal {
-    /// From a crystal in a box with edges along x, y and the beam. Heights are shifted so that the
-    /// entrance surface lies in the middle of the widest gap between atomic planes.
+    /// Groups a crystal in a box with edges along x, y and the beam into columns. Heights are shifted so that the entrance surface lies in
+    /// the middle of the widest gap between atomic planes.
     ///
     /// # Errors
     /// [`Error::Invalid`] for another cell, partly occupied sites, or too many of them.
@@ -91,23 +91,23 @@ impl ColumnCrystal {
         Ok(ColumnCrystal { cell, columns })
     }
 
-    /// All chains.
+    /// Returns all chains.
     pub fn chains(&self) -> impl Iterator<Item = &Chain> {
         self.columns.iter().flat_map(|c| &c.chains)
     }
 
-    /// The lightest element, if there are several: atoms of it make room for others.
+    /// Returns the lightest element, if there are several: its atoms are removed first where others need room.
     pub fn lightest(&self) -> Option<u8> {
         let least = self.chains().map(|c| c.number).min();
         least.filter(|_| self.chains().map(|c| c.number).max() != least)
     }
 
-    /// Number of cells along the beam in `thickness_nm`, at least one.
+    /// Returns the number of cells along the beam in `thickness_nm`, at least one.
     pub fn cells_along_beam(&self, thickness_nm: f64) -> usize {
         ((thickness_nm * 10.0 / self.cell[2]).round() as usize).max(1)
     }
 
-    /// Whether the mirror image in a plane perpendicular to x is the same crystal, moved at most.
+    /// Whether the mirror image in a plane perpendicular to x is the same crystal, apart from a shift.
     pub fn has_mirror_x(&self) -> bool {
         let atoms: Vec<([f64; 3], u8)> = self
             .columns
@@ -130,18 +130,18 @@ impl ColumnCrystal {
     }
 }
 
-/// The fraction moved into [0, 1), rounding errors at zero.
+/// Moves a fraction into [0, 1), with rounding errors at zero.
 fn wrap(x: f64) -> f64 {
     crate::structure::lattice::wrap_unit(x)
 }
 
-/// Distance of two fractions of a period.
+/// Returns the distance of two fractions of a period.
 fn apart(a: f64, b: f64) -> f64 {
     let d = (a - b).rem_euclid(1.0);
     d.min(1.0 - d)
 }
 
-/// Middle of the widest gap between fractional heights: of equal ones, that at the end of the cell.
+/// Returns the middle of the widest gap between fractional heights; of equal gaps, the one at the end of the cell.
 fn widest_gap(mut z: Vec<f64>) -> f64 {
     z.sort_by(f64::total_cmp);
     let (Some(first), Some(last)) = (z.first(), z.last()) else { return 0.0 };
@@ -179,10 +179,10 @@ mod tests {
     #[test]
     fn dumbbells_and_mirrors() {
         let si = seen("si", [1, 1, 0], [1, -1, 0]);
-        // Half of [110] is a lattice vector too, so each column of the box holds two atoms.
+        // Half of [110] is a lattice vector as well, so each column of the box holds two atoms.
         assert!(si.columns.len() == 8 && si.columns.iter().all(|c| c.chains.len() == 2));
         assert!(si.lightest().is_none() && si.has_mirror_x());
-        // The polar axis along x has no mirror across it; across the beam it has.
+        // A crystal with its polar axis along x has no mirror perpendicular to x; with its polar axis across x it has one.
         assert!(!seen("gan", [1, 1, 0], [1, -1, 0]).has_mirror_x());
         assert!(seen("gan", [1, 1, 0], [0, 0, 1]).has_mirror_x());
     }

@@ -1,4 +1,4 @@
-//! Crystals that come with the program: the files of `structures/`.
+//! Crystals that are installed with the program: the files of `structures/`.
 
 use super::{Format, Structure, parse};
 use crate::error::{Error, Result};
@@ -26,17 +26,17 @@ const LIBRARY: [(&str, &str); 12] = library![
     "graphene"
 ];
 
-/// Names of the crystals: `srtio3`, `batio3_cubic` ...
+/// Returns the names of the crystals: `srtio3`, `batio3_cubic` ...
 pub fn names() -> impl Iterator<Item = &'static str> + Clone {
     LIBRARY.iter().map(|(name, _)| *name)
 }
 
-/// The CIF text of a crystal; `None` for an unknown name.
+/// Returns the CIF text of a crystal; `None` for an unknown name.
 pub fn text(name: &str) -> Option<&'static str> {
     LIBRARY.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-/// A crystal.
+/// Returns a crystal.
 ///
 /// # Errors
 /// [`Error::Invalid`] for an unknown name.

@@ -6,13 +6,13 @@ use crate::setting::Setting;
 
 /// Room temperature in K.
 pub const ROOM_TEMPERATURE_K: f64 = 293.0;
-/// Temperatures for which the table is taken, in K: below, zero-point motion bends the curves; above, anharmonic motion does.
+/// Temperatures in K for which the table is used: below, zero-point motion bends the curves; above, anharmonic motion does.
 pub const TABLE_TEMPERATURES_K: [f64; 2] = [200.0, 400.0];
 
 /// Temperatures of the two columns in K.
 const COLUMNS_K: [f64; 2] = [210.0, 280.0];
-/// Debye-Waller factors B in square Angstrom at both temperatures: L.-M. Peng, G. Ren, S. L. Dudarev and M. J. Whelan, Acta Cryst. A 52 (1996)
-/// 456, table 1. Iron is body-centred, calcium face-centred, carbon diamond.
+/// Debye-Waller factors B in square Angstrom at both temperatures: L.-M. Peng, G. Ren, S. L. Dudarev and M. J. Whelan, Acta Cryst. A 52
+/// (1996) 456, table 1. Iron is body-centred, calcium face-centred, carbon diamond.
 const TABLE: [(&str, [f64; 2]); 38] = [
     ("Li", [3.4477, 4.5950]),
     ("Be", [0.3032, 0.4040]),
@@ -54,8 +54,8 @@ const TABLE: [(&str, [f64; 2]); 38] = [
     ("Th", [0.5241, 0.6977]),
 ];
 
-/// Standard deviation in Angstrom of each Cartesian component of the displacement of an atom in the crystal of its element, the root of
-/// `B / (8 pi^2)`. Between and beyond the two temperatures of the table B is taken as linear.
+/// Returns the standard deviation in Angstrom of each Cartesian component of the displacement of an atom in the crystal of its element: the
+/// root of `B / (8 pi^2)`. Between and beyond the two temperatures of the table, B is interpolated linearly.
 ///
 /// # Errors
 /// [`Error::Invalid`] for elements that the table lacks, and temperatures outside [`TABLE_TEMPERATURES_K`].
@@ -81,8 +81,8 @@ pub fn tabulated_sigma_angstrom(number: u8, temperature_k: f64) -> Result<f64> {
 mod tests {
     use super::*;
 
-    /// Other columns of the same table (B in square Angstrom), and a measured value: silicon at room temperature, 0.461
-    /// (P. J. E. Aldred and M. Hart, Proc. R. Soc. A 332 (1973) 223), which the table meets within 6 %.
+    /// Other columns of the table (B in square Angstrom), and a measured value: silicon at room temperature, 0.461 (P. J. E. Aldred and M.
+    /// Hart, Proc. R. Soc. A 332 (1973) 223), which the table meets within 6 %.
     #[test]
     fn temperatures_between_are_those_of_the_paper() {
         let b = |symbol: &str, kelvin: f64| {

@@ -1,12 +1,12 @@
-//! Lattice directions as text: `[001]`, `[1-10]`, `[11-20]`, `[3 0 -12]`.
+//! Reads lattice directions from text: `[001]`, `[1-10]`, `[11-20]`, `[3 0 -12]`.
 
 use super::lattice::gcd;
 
-/// The indices of a direction. Single digits stand together, others with spaces or commas between;
-/// four indices \[UVTW\] of a hexagonal lattice become the three \[2U+V U+2V W\] (reduced).
+/// Returns the indices of a direction. Single digits may be written without separators, others with spaces or commas between; four indices
+/// \[UVTW\] of a hexagonal lattice become the three \[2U+V U+2V W\] (reduced).
 ///
 /// # Errors
-/// A sentence that says how directions are written.
+/// A sentence that describes how directions are written.
 pub fn parse(text: &str) -> Result<[i32; 3], String> {
     let expected = "expected a lattice direction such as \"[001]\", \"[11-20]\" or \"[3 0 -12]\"";
     let inner = text.trim().strip_prefix('[').and_then(|t| t.strip_suffix(']'));
@@ -30,10 +30,10 @@ pub fn parse(text: &str) -> Result<[i32; 3], String> {
     }
 }
 
-/// The three indices \[2U+V U+2V W\], reduced, of the direction \[UVTW\] of a hexagonal lattice.
+/// Returns the three indices \[2U+V U+2V W\], reduced, of the direction \[UVTW\] of a hexagonal lattice.
 ///
 /// # Errors
-/// A sentence, for indices that are of no direction or beyond 1000.
+/// A sentence, for indices that give no direction or are beyond 1000.
 pub fn of_four([u, v, t, w]: [i32; 4]) -> Result<[i32; 3], String> {
     if [u, v, t, w].iter().any(|n| !(-1000..=1000).contains(n)) {
         return Err("indices beyond 1000".into());
@@ -48,7 +48,7 @@ pub fn of_four([u, v, t, w]: [i32; 4]) -> Result<[i32; 3], String> {
     }
 }
 
-/// Single digits, each with its sign.
+/// Reads single digits, each with its sign.
 fn digits(text: &str) -> Option<Vec<i32>> {
     let mut out = Vec::new();
     let mut sign = 1;

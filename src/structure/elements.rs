@@ -13,12 +13,12 @@ const SYMBOLS: [&str; MAX_ATOMIC_NUMBER as usize] = [
     "Cf", "Es", "Fm", "Md", "No", "Lr",
 ];
 
-/// The symbol of an element; `"?"` beyond the table.
+/// Returns the symbol of an element; `"?"` beyond the table.
 pub fn symbol(number: u8) -> &'static str {
     SYMBOLS.get((number as usize).wrapping_sub(1)).copied().unwrap_or("?")
 }
 
-/// The atomic number of a symbol (`Sr`, any case) or of a number written as text (`38`).
+/// Returns the atomic number of a symbol (`Sr`, any case) or of a number written as text (`38`).
 ///
 /// # Errors
 /// [`Error::UnknownElement`].

@@ -1,4 +1,4 @@
-//! Sites that exclude each other: shared sites, the ways of filling a place, and sites closer than any bond.
+//! Finds sites that exclude each other: shared sites, the alternatives of a place, and sites closer than any bond.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::ControlFlow;
@@ -9,34 +9,33 @@ use super::{Alternative, Structure, elements, for_each_pair};
 
 /// Atoms nearer than this, in Angstrom, share one site.
 const SAME_SITE: f64 = 0.01;
-/// Atoms of partly occupied sites nearer than this, in Angstrom, are not there together ...
+/// Partly occupied sites nearer than this, in Angstrom, are never filled together ...
 const SHORTEST_BOND: f64 = 1.2;
-/// ... but for C, N and O, whose shortest bonds are 1.10 A (nitrogen; 1.21 A between two of O), ...
+/// ... except C, N and O, whose shortest bonds are 1.10 A (nitrogen; 1.21 A between two O), ...
 const SHORTEST_BOND_CNO: f64 = 1.0;
-/// ... and for hydrogen (0.74 A in H2).
+/// ... and hydrogen (0.74 A in H2).
 const SHORTEST_BOND_H: f64 = 0.7;
-/// Pairs that exclude each other, for each atom, beyond which sites are no longer told apart ...
+/// Largest number of pairs that exclude each other, per atom, for which sites are still analysed ...
 const MOST_PAIRS_EACH: usize = 16;
-/// ... and in all.
+/// ... and in total.
 const MOST_PAIRS: usize = 20_000_000;
-/// Distances that differ by less than this in Angstrom are taken in the order of the atoms.
+/// Distances that differ by less than this in Angstrom are handled in the order of the atoms.
 const SAME_DISTANCE: f32 = 1e-3;
 
-/// Two partly occupied sites that are too close to be filled both, and too full to exclude each other.
+/// Two partly occupied sites that are too close to be filled together, and too full to exclude each other.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CrowdedPair {
     pub atoms: [u32; 2],
     pub distance: f32,
 }
 
-/// The atoms of a structure in groups, of each of which at most one unit is there: an atom, or the atoms of one
-/// [`Alternative`].
+/// The atoms of a structure in groups. At most one unit of each group is present: an atom, or the atoms of one [`Alternative`].
 pub(super) struct ExclusiveSites {
     /// For each atom the smallest index in its group.
     group: Vec<usize>,
     /// For each atom the smallest index on its site.
     pub site: Vec<usize>,
-    /// Pairs that no group holds.
+    /// Close pairs that are in no group.
     pub crowded: Vec<CrowdedPair>,
 }
 
@@ -61,14 +60,14 @@ impl Forest {
 }
 
 impl ExclusiveSites {
-    /// Nearer sites are joined before farther ones, as long as the occupancies of a group add to at most 1.
+    /// Groups the atoms. Nearer sites are joined before farther ones, as long as the occupancies of a group add to at most 1.
     pub fn of(structure: &Structure) -> Self {
         let count = structure.atoms.len();
         let mut site: Vec<usize> = (0..count).collect();
         if structure.atoms.iter().all(|a| a.occupancy == 1.0 && a.alternative.is_none()) {
             return ExclusiveSites { group: site.clone(), site, crowded: Vec::new() };
         }
-        // `i` never falls, so that `site[i]` is final when it is copied to j.
+        // `i` never decreases, so that `site[i]` is final when it is copied to j.
         for_each_pair(structure, SAME_SITE, |i, j, _| site[j] = site[j].min(site[i]));
         let mut close = close_pairs(structure);
         let mut forest = Forest((0..count).collect());
@@ -99,7 +98,7 @@ impl ExclusiveSites {
         ExclusiveSites { group, site, crowded: close }
     }
 
-    /// The atoms of each group, at the index of its first; nothing at others.
+    /// Returns the atoms of each group, at the index of its first atom; other entries are empty.
     pub fn members(&self) -> Vec<Vec<usize>> {
         let mut members: Vec<Vec<usize>> = vec![Vec::new(); self.group.len()];
         for (index, &group) in self.group.iter().enumerate() {
@@ -109,15 +108,15 @@ impl ExclusiveSites {
     }
 }
 
-/// Atoms that are there together, and how often.
+/// Atoms that are present together, and their occupancy.
 pub(super) struct SiteUnit {
-    /// At least one.
+    /// The atoms; at least one.
     pub atoms: Vec<usize>,
-    /// The sum of the occupancies on its fullest site.
+    /// Sum of the occupancies on the unit's fullest site.
     pub occupancy: f64,
 }
 
-/// The units among some atoms, in the order of their first atoms; `site` holds the smallest index on each atom's site.
+/// Returns the units among some atoms, in the order of their first atoms; `site` holds the smallest index on each atom's site.
 pub(super) fn units(structure: &Structure, site: &[usize], members: &[usize]) -> Vec<SiteUnit> {
     let mut units: Vec<SiteUnit> = Vec::new();
     let mut known: HashMap<Alternative, usize> = HashMap::new();
@@ -142,11 +141,11 @@ pub(super) fn units(structure: &Structure, site: &[usize], members: &[usize]) ->
     units
 }
 
-/// Pairs of sites that cannot be filled both. A pile of atoms has too many: then those of the first ones.
+/// Returns the pairs of sites that cannot be filled together. If there are too many pairs, only the first ones are returned.
 fn close_pairs(structure: &Structure) -> Vec<CrowdedPair> {
     let most = MOST_PAIRS.min(structure.atoms.len().saturating_mul(MOST_PAIRS_EACH));
     let (mut close, mut seen) = (Vec::new(), 0);
-    // Where it breaks off does not matter.
+    // The search may end anywhere in a crowd of atoms.
     let _ = try_each_pair(structure, SHORTEST_BOND, |i, j, distance| {
         seen += 1;
         if distance > SAME_SITE && i != j && excludes(structure, i, j, distance) {
@@ -160,7 +159,7 @@ fn close_pairs(structure: &Structure) -> Vec<CrowdedPair> {
     close
 }
 
-/// Whether two atoms at a distance in Angstrom cannot be there together.
+/// Whether two atoms at a distance in Angstrom cannot be present together.
 fn excludes(structure: &Structure, i: usize, j: usize, distance: f64) -> bool {
     let (a, b) = (&structure.atoms[i], &structure.atoms[j]);
     let partly = a.occupancy < 1.0 || b.occupancy < 1.0;
@@ -176,7 +175,7 @@ fn excludes(structure: &Structure, i: usize, j: usize, distance: f64) -> bool {
 }
 
 impl Structure {
-    /// What to say of partly occupied sites that are closer than any bond, and too full to exclude each other.
+    /// Reports partly occupied sites that are closer than any bond, and too full to exclude each other.
     pub fn crowded_sites(&self) -> Option<String> {
         let crowded = ExclusiveSites::of(self).crowded;
         let CrowdedPair { atoms: [i, j], distance } = *crowded.first()?;

@@ -1,11 +1,11 @@
-//! Formats of other programs, which are not read: whose they are, and how they are converted.
+//! Recognises formats of other programs that are not read, and names the program and the conversion.
 
 use std::path::Path;
 
-/// Rows of a file that are looked at.
+/// Number of rows of a file that are inspected.
 const FIRST_ROWS: usize = 40;
 
-/// What to say of a file whose name is that of another format.
+/// Returns the message for a file whose name belongs to another format.
 pub(super) fn by_name(path: &Path) -> Option<String> {
     let ending = path.extension()?.to_string_lossy().to_ascii_lowercase();
     Some(match ending.as_str() {
@@ -24,7 +24,7 @@ pub(super) fn by_name(path: &Path) -> Option<String> {
     })
 }
 
-/// What to say of bytes that are those of another format.
+/// Returns the message for bytes of another format.
 pub(super) fn by_bytes(bytes: &[u8]) -> Option<String> {
     if bytes.get(208..212) == Some(b"MAP ".as_slice()) {
         return Some(mrc());
@@ -36,7 +36,7 @@ pub(super) fn by_bytes(bytes: &[u8]) -> Option<String> {
     None
 }
 
-/// What to say of a text that is of another format; `xyz`: whether it should be XYZ.
+/// Returns the message for a text of another format; `xyz` is set if the text should be XYZ.
 pub(super) fn by_text(body: &str, xyz: bool) -> Option<String> {
     let rows: Vec<&str> = body.lines().take(FIRST_ROWS).collect();
     let any = |what: &dyn Fn(&str) -> bool| rows.iter().any(|row| what(row));
@@ -55,7 +55,7 @@ pub(super) fn by_text(body: &str, xyz: bool) -> Option<String> {
     if xyz { prismatic(body, &rows) } else { None }
 }
 
-/// Prismatic and computem: a comment, the cell, one row per atom (Z, x, y, z, occupancy, rms displacement), and -1.
+/// Recognises Prismatic and computem: a comment, the cell, one row per atom (Z, x, y, z, occupancy, rms displacement), and -1.
 fn prismatic(body: &str, rows: &[&str]) -> Option<String> {
     let numbers = |row: &str| -> Option<Vec<f64>> {
         row.split_whitespace().map(|word| word.parse().ok()).collect()

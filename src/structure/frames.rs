@@ -1,4 +1,4 @@
-//! Frames of a trajectory in extended XYZ or XDATCAR: each is a structure of its own.
+//! Reads the frames of a trajectory in extended XYZ or XDATCAR; each frame is a separate structure.
 
 use std::path::Path;
 
@@ -10,24 +10,24 @@ use super::{Structure, elements};
 use crate::error::{Error, Result};
 use crate::files::whole_file;
 
-/// Most frames that are read.
+/// Largest number of frames that are read.
 const MOST_FRAMES: usize = 100_000;
-/// Lines of the head of an XDATCAR: a comment, the scale, the cell, symbols and counts.
+/// Number of lines in the header of an XDATCAR: a comment, the scale, the cell, symbols and counts.
 const XDATCAR_HEAD: usize = 7;
-/// Cells that differ by less than this in Angstrom are one.
+/// Cells that differ by less than this in Angstrom count as equal.
 const SAME_CELL_ANGSTROM: f64 = 1e-4;
 
-/// Which frames: the first, the last, and the step, as in any series START:END:STEP. Frames count from 0.
+/// A range of frames: the first, the last, and the step, as in any series START:END:STEP. Frames count from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameRange {
-    /// First.
+    /// First frame.
     #[serde(default)]
     pub start: usize,
-    /// The last that may be read; `None` for all to the end.
+    /// Last frame that may be read; `None` reads to the end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub end: Option<usize>,
-    /// Every how many-th.
+    /// Step: every `step`-th frame is read.
     #[serde(default = "one")]
     pub step: usize,
 }
@@ -37,7 +37,7 @@ fn one() -> usize {
 }
 
 impl FrameRange {
-    /// The number in its file of a frame that was chosen, both counted from 0.
+    /// Returns the number in its file of a chosen frame, both counted from 0.
     #[must_use]
     pub fn number(&self, chosen: usize) -> usize {
         self.start + chosen * self.step.max(1)
@@ -49,8 +49,8 @@ impl FrameRange {
     }
 }
 
-/// Reads some frames of a trajectory, each with what there is to say of it: extended XYZ, or XDATCAR of VASP. They have one cell and the
-/// same elements.
+/// Reads some frames of a trajectory in extended XYZ or VASP's XDATCAR, each with warnings about it. All frames have one cell and the same
+/// elements.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Parse`] with the line, [`Error::Invalid`] for another format.
@@ -74,13 +74,13 @@ pub fn read_frames(path: &Path, range: FrameRange) -> Result<Vec<ReadStructure>>
     Ok(chosen.frames)
 }
 
-/// The frames of a trajectory that were asked for.
+/// The chosen frames of a trajectory.
 struct ChosenFrames<'a> {
     path: &'a Path,
     format: Format,
     range: FrameRange,
     frames: Vec<ReadStructure>,
-    /// Frames of the file so far.
+    /// Number of frames of the file so far.
     passed: usize,
 }
 
@@ -104,7 +104,7 @@ impl ChosenFrames<'_> {
         Ok(())
     }
 
-    /// Each frame has the head of the file before it, or one of its own where the cell changes.
+    /// Reads an XDATCAR. Each frame follows the header of the file, or a new header where the cell changes.
     fn take_xdatcar(&mut self, lines: &[&str]) -> Result<()> {
         let begins: Vec<usize> = (0..lines.len()).filter(|&at| begins_frame(lines[at])).collect();
         let Some(&first) = begins.first() else {
@@ -115,7 +115,7 @@ impl ChosenFrames<'_> {
         for (number, &at) in begins.iter().enumerate() {
             let end = begins.get(number + 1).copied().unwrap_or(lines.len());
             let mut rows = &lines[at..end];
-            // The head of the next frame stands at the end of this one.
+            // The header of the next frame stands at the end of this one.
             let next = rows.len().checked_sub(XDATCAR_HEAD).filter(|&next| {
                 number + 1 < begins.len() && rows[next + 1].split_whitespace().count() == 1
             });
@@ -133,7 +133,7 @@ impl ChosenFrames<'_> {
         Ok(())
     }
 
-    /// Takes the next frame, which begins after so many lines, if it was asked for.
+    /// Reads the next frame, which begins after `lines_before` lines, if it is chosen.
     fn take(&mut self, lines_before: usize, body: impl FnOnce() -> String) -> Result<()> {
         if self.range.holds(self.passed) {
             let frame = parse_noted(self.format, body().as_bytes(), self.path)
@@ -148,7 +148,7 @@ impl ChosenFrames<'_> {
     }
 }
 
-/// The error with the line in the whole file.
+/// Returns the error with the line in the whole file.
 fn shifted(error: Error, first: usize) -> Error {
     match error {
         Error::Parse { path, line, message } if line > 0 => {
@@ -224,7 +224,7 @@ mod tests {
         assert!(found.len() == 2 && (found[0] - 0.4).abs() + (found[1] - 1.2).abs() < 1e-12);
         let words = super::super::read(&path).unwrap_err().to_string();
         assert!(words.contains("XDATCAR:8: a trajectory of 4 frames"), "{words}");
-        // With a head for each frame, where the cell may change.
+        // A trajectory with a header for each frame, where the cell may change.
         let all: String = (1..=3).map(|n| format!("{head}{}", frame(n))).collect();
         std::fs::write(&path, &all).unwrap();
         assert_eq!(read(1, 1).unwrap().len(), 2);

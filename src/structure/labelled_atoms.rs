@@ -1,11 +1,11 @@
-//! Atoms with what their file says of each besides: whether it is a defect, and the phase or grain that it belongs to.
+//! Atoms with labels from their file: whether an atom is a defect, and the phase or grain that it belongs to.
 
 use super::{Structure, elements};
 
-/// What a file says of a site.
+/// Label of a site in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub enum SiteLabel {
-    /// The atom belongs there, or nothing is said.
+    /// The atom belongs there, or there is no label.
     #[default]
     Pristine,
     /// The atom is missing.
@@ -19,9 +19,9 @@ pub enum SiteLabel {
 pub struct LabelledAtom {
     /// Cartesian position in Angstrom.
     pub position: [f64; 3],
-    /// Atomic number; of a vacancy, that of the missing atom.
+    /// Atomic number; of a vacancy, the atomic number of the missing atom.
     pub number: u8,
-    /// What the site holds.
+    /// Label of the site.
     pub label: SiteLabel,
     /// Index into [`LabelledAtoms::groups`]; 0 where there are none.
     pub group: u16,
@@ -34,17 +34,17 @@ pub struct LabelledAtoms {
     pub cell: [[f64; 3]; 3],
     /// The sites, in the order of the file.
     pub atoms: Vec<LabelledAtom>,
-    /// Names of the phases that the file tells apart, or of the grains where it names no phases.
+    /// Names of the phases that the file distinguishes, or of the grains if it names no phases.
     pub groups: Vec<String>,
-    /// What there is to say of the file: sentences for the user, each a warning.
+    /// Warnings about the file, as sentences for the user.
     pub notes: Vec<String>,
 }
 
 impl LabelledAtoms {
-    /// Atoms without labels.
+    /// Takes atoms without labels.
     ///
     /// # Errors
-    /// What to say of a site that is partly occupied.
+    /// A message about a site that is partly occupied.
     pub(super) fn of(structure: &Structure, notes: Vec<String>) -> Result<Self, String> {
         let site = |(n, atom): (usize, &super::Atom)| {
             if atom.occupancy != 1.0 {
@@ -57,7 +57,7 @@ impl LabelledAtoms {
         Ok(LabelledAtoms { cell: structure.cell, atoms, groups: Vec::new(), notes })
     }
 
-    /// The least and the greatest coordinate along each axis, in Angstrom.
+    /// Returns the least and the greatest coordinate along each axis, in Angstrom.
     pub fn extent(&self) -> [[f64; 2]; 3] {
         let ends = |mut ends: [f64; 2], x: f64| {
             ends = [ends[0].min(x), ends[1].max(x)];
@@ -69,7 +69,7 @@ impl LabelledAtoms {
         [along(0), along(1), along(2)]
     }
 
-    /// Symbols of the elements of which there are atoms, sorted.
+    /// Returns the symbols of the elements that occur, sorted.
     pub fn elements(&self) -> Vec<String> {
         let mut there = [false; 256];
         for atom in self.atoms.iter().filter(|a| a.label != SiteLabel::Vacancy) {
@@ -82,7 +82,7 @@ impl LabelledAtoms {
     }
 }
 
-/// What to say of a site that may hold an atom or not.
+/// Returns the message about a site that may or may not hold an atom.
 pub(super) fn partly_occupied(which: &str, occupancy: f64) -> String {
     format!(
         "{which} has the occupancy {occupancy}: atoms of a world are there or not; expected 1, or 0 for a vacant site. Draw the \

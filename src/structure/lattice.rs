@@ -27,17 +27,17 @@ pub fn subtract(a: Vec3, b: Vec3) -> Vec3 {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// The row vector `v` times the matrix `m`: fractional to Cartesian when `m` is a cell.
+/// Multiplies the row vector `v` by the matrix `m`: fractional to Cartesian if `m` is a cell.
 pub fn row_times(v: Vec3, m: &Mat3) -> Vec3 {
     std::array::from_fn(|j| v[0] * m[0][j] + v[1] * m[1][j] + v[2] * m[2][j])
 }
 
-/// Signed volume of the cell; negative when its vectors are left-handed.
+/// Returns the signed volume of the cell; negative if its vectors are left-handed.
 pub fn determinant(m: &Mat3) -> f64 {
     dot(m[0], cross(m[1], m[2]))
 }
 
-/// The inverse matrix (Cartesian to fractional), or `None` for a flat cell.
+/// Returns the inverse matrix (Cartesian to fractional), or `None` for a flat cell.
 pub fn inverse(m: &Mat3) -> Option<Mat3> {
     let volume = determinant(m);
     if volume == 0.0 || !volume.is_finite() {
@@ -47,19 +47,19 @@ pub fn inverse(m: &Mat3) -> Option<Mat3> {
     Some(std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i] / volume)))
 }
 
-/// Distances between opposite faces of the cell.
+/// Returns the distances between opposite faces of the cell.
 pub fn face_distances(m: &Mat3) -> Vec3 {
     let volume = determinant(m).abs();
     std::array::from_fn(|i| volume / norm(cross(m[(i + 1) % 3], m[(i + 2) % 3])))
 }
 
-/// The fractional coordinate moved into [0, 1); what lies within `1e-9` below 1 becomes 0.
+/// Moves a fractional coordinate into [0, 1); values within `1e-9` below 1 become 0.
 pub fn wrap_unit(x: f64) -> f64 {
     let wrapped = x - x.floor();
     if wrapped >= 1.0 - 1e-9 { 0.0 } else { wrapped }
 }
 
-/// Greatest common divisor of two integers; of negative ones, with either sign.
+/// Returns the greatest common divisor of two integers; with negative integers its sign is arbitrary.
 pub(crate) fn gcd<T: Copy + Default + PartialEq + Rem<Output = T>>(a: T, b: T) -> T {
     if b == T::default() { a } else { gcd(b, a % b) }
 }

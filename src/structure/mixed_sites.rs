@@ -1,4 +1,4 @@
-//! Which atom stands on a partially occupied site.
+//! Draws the atoms on partially occupied sites.
 
 use super::exclusive_sites::{ExclusiveSites, SiteUnit, units};
 use super::overlap::FULLEST_SITE;
@@ -7,21 +7,20 @@ use crate::error::{Error, Result};
 use crate::rng::{Purpose, uniform};
 use crate::setting::Setting;
 
-/// Draws of a place: which of its ways it is filled in ...
+/// Draws of a place: the alternative that fills it ...
 const WAY: u32 = 0;
-/// ... and which atoms stand on the sites of that way.
+/// ... and the atoms on the sites of that alternative.
 const WITHIN_WAY: u32 = 1;
 
 impl Structure {
-    /// Draws one atom, or none, for every site according to the occupancies. Atoms within 0.01 A
-    /// of each other share a site, and what their occupancies lack to 1 is the probability of a
-    /// vacancy. Sites that exclude each other share one draw: those of one place of [`super::Alternative`], and partly
-    /// occupied ones that are closer than any bond (1.2 A; less between C, N, O and H) and whose occupancies add to at
-    /// most 1. A draw depends on `seed` and on the index of the first of these atoms only, so
-    /// build the supercell first: otherwise all its cells look alike.
+    /// Draws one atom, or none, for every site according to the occupancies. Atoms within 0.01 A of each other share a site; if their
+    /// occupancies add to less than 1, the rest is the probability of a vacancy. Sites that exclude each other share one draw: the sites of
+    /// one place of [`super::Alternative`], and partly occupied sites that are closer than any bond (1.2 A; less between C, N, O and H) and
+    /// whose occupancies add to at most 1. A draw depends on `seed` and on the index of the first of these atoms only, so build the
+    /// supercell first: otherwise all its cells are alike.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if an occupancy is outside (0, 1] or those of a site or place exceed 1.
+    /// [`Error::Invalid`] if an occupancy is outside (0, 1], or if the occupancies of a site or place exceed 1.
     pub fn resolve_occupancy(&self, seed: u64) -> Result<Structure> {
         for (index, atom) in self.atoms.iter().enumerate() {
             if !(atom.occupancy > 0.0 && atom.occupancy <= 1.0) {
@@ -71,12 +70,12 @@ impl Structure {
             }
             last = Some(unit);
         }
-        // Rounding must not leave a hole in a full site.
+        // Rounding must not leave a full site empty.
         Ok(last.filter(|_| total > 1.0 - 1e-9))
     }
 
-    /// Fills the sites of a unit: each with one of its atoms, or none where they are there less often than the unit.
-    /// Atoms stand in the order of their sites, as the first of each.
+    /// Fills the sites of a unit: each with one of its atoms, or with none if its atoms occur less often than the unit. The chosen atoms
+    /// are listed with the smallest index on their site.
     fn fill(&self, seed: u64, unit: &SiteUnit, site: &[usize], chosen: &mut Vec<(usize, usize)>) {
         if let &[only] = unit.atoms.as_slice() {
             return chosen.push((site[only], only));
@@ -101,7 +100,7 @@ mod tests {
     use super::super::Atom;
     use super::*;
 
-    /// Chains of sites: one of Sr (0.6) and Ba (0.3), one full O.
+    /// Chains of sites: one with Sr (0.6) and Ba (0.3), one full with O.
     fn chain(n: usize) -> Structure {
         let mut atoms = Vec::new();
         for i in 0..n {

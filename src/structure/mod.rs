@@ -1,8 +1,7 @@
-//! Atoms in a cell: the model, readers and writers, supercells.
+//! Atoms in a cell: data types, readers and writers, supercells.
 //!
-//! [`read()`] takes CIF, extended XYZ and POSCAR files; [`Structure::oriented`] turns a crystal so that
-//! the beam runs along a zone axis; [`Structure::resolve_occupancy`] draws mixed sites; and
-//! [`Structure::sites`] makes of the atoms the sites that the engine simulates.
+//! [`read()`] takes CIF, extended XYZ and POSCAR files; [`Structure::oriented`] rotates a crystal so that the beam runs along a zone axis;
+//! [`Structure::resolve_occupancy`] draws mixed sites; and [`Structure::sites`] converts the atoms to the sites that the engine simulates.
 
 mod alternatives;
 mod atom_check;
@@ -47,7 +46,7 @@ pub use read::{
 pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};
 pub use xyz::write_extxyz;
 
-/// Pairs of neighbours are nearer than this in every crystal, in Angstrom.
+/// Upper bound of the distance of neighbouring pairs in any crystal, in Angstrom.
 pub const PAIR_CUTOFF_ANGSTROM: f64 = 6.0;
 
 use crate::error::{Error, Result};
@@ -62,12 +61,12 @@ pub struct Atom {
     pub position: [f64; 3],
     /// Fraction of the site that this atom occupies, in (0, 1].
     pub occupancy: f64,
-    /// Where a place can be filled in several ways: the place, and the way that this atom belongs to.
+    /// The place and the alternative that this atom belongs to, if the place can be filled in several ways.
     pub alternative: Option<Alternative>,
 }
 
 impl Atom {
-    /// An atom that occupies its site alone, at a position in Angstrom.
+    /// Makes an atom that occupies its site alone, at a position in Angstrom.
     pub fn new(number: u8, position: [f64; 3]) -> Self {
         Atom { number, position, occupancy: 1.0, alternative: None }
     }
@@ -83,7 +82,7 @@ pub struct Structure {
 }
 
 impl Structure {
-    /// The edge lengths of the cell if its vectors lie along x, y and z to within `1e-4` A.
+    /// Returns the edge lengths of the cell if its vectors lie along x, y and z to within `1e-4` A.
     ///
     /// # Errors
     /// [`Error::Invalid`] for any other cell.

@@ -1,4 +1,4 @@
-//! Pairs of near atoms in a periodic cell, by cell lists.
+//! Finds pairs of near atoms in a periodic cell, by cell lists.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::{ControlFlow, Range};
@@ -6,15 +6,15 @@ use std::ops::{ControlFlow, Range};
 use super::Structure;
 use super::lattice::{Mat3, Vec3, determinant, face_distances, inverse, norm, row_times, subtract};
 
-/// Atoms in a box above which boxes are made smaller.
+/// Number of atoms in a box above which boxes are made smaller.
 const CROWD: usize = 64;
-/// Boxes beyond four for each atom: a few atoms in a wide cell.
+/// Number of boxes allowed beyond four for each atom, for a few atoms in a wide cell.
 const FEW_BOXES: i64 = 1 << 16;
 
 /// Atoms sorted into boxes along the cell vectors.
 struct Boxes {
     counts: [i64; 3],
-    /// How many boxes away a neighbour can be.
+    /// Largest distance of a neighbour, in boxes.
     reach: [i64; 3],
     /// Atom numbers, sorted by box.
     order: Vec<usize>,
@@ -25,11 +25,11 @@ struct Boxes {
     positions: Vec<Vec3>,
 }
 
-/// Where the atoms of a box stand in the order.
+/// Place of each box's atoms in the order.
 enum BoxIndex {
-    /// `starts[b]..starts[b + 1]` are those of box `b`.
+    /// All boxes: `starts[b]..starts[b + 1]` are the atoms of box `b`.
     All(Vec<usize>),
-    /// Of the boxes that are not empty.
+    /// The boxes that are not empty.
     Filled(HashMap<[i64; 3], Range<usize>>),
 }
 
@@ -38,7 +38,7 @@ impl Boxes {
         let n = structure.atoms.len();
         let widths = face_distances(&structure.cell);
         let boxes_of = |edge: f64| widths.map(|w| ((w / edge) as i64).max(1));
-        // Boxes of about one atom: smaller ones would cost memory and gain nothing.
+        // Boxes hold about one atom each: smaller boxes would cost memory without any gain.
         let mut edge = cutoff.max((determinant(&structure.cell).abs() / n as f64).cbrt());
         let many = |counts: [i64; 3]| {
             let boxes = counts.iter().fold(1_i64, |n, c| n.saturating_mul(*c));
@@ -53,7 +53,7 @@ impl Boxes {
             .map(|atom| row_times(atom.position, inverse).map(|x| x - x.floor()))
             .collect();
         let mut boxes = Self::sorted(structure, &fractions, boxes_of(edge), cutoff, false);
-        // A cluster in a wide vacuum: all of it may be in one box.
+        // A cluster in a wide vacuum may lie in one box completely.
         if edge > cutoff && boxes.fullest() > CROWD {
             boxes = Self::sorted(structure, &fractions, boxes_of(cutoff), cutoff, true);
         }
@@ -112,7 +112,7 @@ impl Boxes {
         &self.order[range]
     }
 
-    /// Atoms in the fullest box.
+    /// Returns the number of atoms in the fullest box.
     fn fullest(&self) -> usize {
         match &self.index {
             BoxIndex::All(starts) => starts.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0),
@@ -125,9 +125,8 @@ fn number(counts: [i64; 3], b: [i64; 3]) -> usize {
     ((b[0] * counts[1] + b[1]) * counts[2] + b[2]) as usize
 }
 
-/// Calls `visit(i, j, distance)` for every pair with `i <= j` and `distance <= cutoff` Angstrom,
-/// once for each periodic image; `i == j` stands for an atom and its own image. A pair of images
-/// may be visited from either side. `i` never falls.
+/// Calls `visit(i, j, distance)` for every pair with `i <= j` and `distance <= cutoff` Angstrom, once for each periodic image; `i == j` is
+/// an atom and its own image. A pair of images may be visited from either side. `i` never decreases.
 pub(crate) fn for_each_pair(
     structure: &Structure,
     cutoff: f64,
@@ -137,11 +136,11 @@ pub(crate) fn for_each_pair(
         visit(i, j, distance);
         ControlFlow::Continue(())
     };
-    // It goes on to the end.
+    // `visit` never stops the search here.
     let _ = try_each_pair(structure, cutoff, all);
 }
 
-/// As [`for_each_pair`], until `visit` breaks off.
+/// Visits pairs like [`for_each_pair`], until `visit` stops the search.
 pub(super) fn try_each_pair(
     structure: &Structure,
     cutoff: f64,
@@ -193,14 +192,14 @@ fn visit_box(
     ControlFlow::Continue(())
 }
 
-/// The smallest distance in Angstrom between two atoms, periodic images included; `None` without
-/// atoms. Sites with partial occupancy count as atoms, so resolve them first.
+/// Returns the smallest distance in Angstrom between two atoms, periodic images included; `None` without atoms. Sites with partial
+/// occupancy count as atoms, so resolve them first.
 pub fn min_pair_distance(structure: &Structure) -> Option<f64> {
     let count = structure.atoms.len();
     if count == 0 {
         return None;
     }
-    // No packing of points is denser than close packing, so this reaches one pair at least.
+    // No packing of points is denser than close packing, so this distance reaches at least one pair.
     let per_atom = determinant(&structure.cell).abs() / count as f64;
     let cutoff = (std::f64::consts::SQRT_2 * per_atom).cbrt() * (1.0 + 1e-9);
     let mut smallest = f64::INFINITY;
@@ -208,8 +207,7 @@ pub fn min_pair_distance(structure: &Structure) -> Option<f64> {
     Some(smallest).filter(|d| d.is_finite())
 }
 
-/// The shortest distance in Angstrom of every pair of elements that comes within `cutoff`, the lower
-/// atomic number first.
+/// Returns the shortest distance in Angstrom of every pair of elements that comes within `cutoff`, the lower atomic number first.
 pub fn shortest_distances(structure: &Structure, cutoff: f64) -> BTreeMap<(u8, u8), f64> {
     let mut shortest = BTreeMap::new();
     for_each_pair(structure, cutoff, |i, j, distance| {
@@ -230,7 +228,7 @@ mod tests {
         Atom::new(14, position)
     }
 
-    /// Every pair through every image within three cells.
+    /// Reference: every pair through every image within three cells.
     fn slow(structure: &Structure) -> f64 {
         let mut smallest = f64::INFINITY;
         for (i, a) in structure.atoms.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Orthogonal supercells that look along a zone axis.
+//! Makes orthogonal supercells whose z axis is a zone axis.
 
 use super::alternatives::CopiedPlaces;
 use super::lattice::{
@@ -16,16 +16,16 @@ type Indices = [i64; 3];
 const LARGEST_INDEX: i64 = 24;
 /// Largest index accepted for the zone and for `up`.
 const LARGEST_GIVEN: i32 = 100;
-/// Deviation from a right angle that counts as none, in radian.
+/// Largest deviation from a right angle that is accepted, in radian.
 const TOLERANCE: f64 = 1e-3;
-/// Largest strain that may be asked for.
+/// Largest strain that may be allowed.
 const MOST_STRAIN: f64 = 0.1;
 /// The vectors of the cell.
 const CELL_AXES: [Indices; 3] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
-/// Largest index of the directions among which the best failure is looked for.
+/// Largest index of the directions that an error compares.
 const REPORT_INDEX: i64 = 6;
 
-/// A crystal in an orthogonal box, and what that took.
+/// A crystal in an orthogonal box, and the strain that made it so.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OrientedBox {
     /// The atoms in the box.
@@ -34,7 +34,7 @@ pub struct OrientedBox {
     pub strain: f64,
 }
 
-/// Which boxes are accepted.
+/// Limits for the boxes that are accepted.
 #[derive(Clone, Copy)]
 struct BoxLimits {
     /// Largest deviation from a right angle in radian.
@@ -48,12 +48,10 @@ impl BoxLimits {
 }
 
 impl Structure {
-    /// The orthogonal supercell whose z axis is the lattice direction `zone` and whose y axis is
-    /// `up`, or else the shortest lattice vector perpendicular to the zone; x completes a
-    /// right-handed box. Indices refer to the vectors of this cell, so that the direction `[11-20]` of a
-    /// hexagonal crystal is `[110]`. Angles within 1 mrad of 90 degrees are taken as right, and the atoms are
-    /// strained accordingly; [`Structure::oriented_within`] tells by how much. A cell that is such a box already is
-    /// returned as it is.
+    /// Returns the orthogonal supercell whose z axis is the lattice direction `zone` and whose y axis is `up`, or else the shortest lattice
+    /// vector perpendicular to the zone; x completes a right-handed box. Indices refer to the vectors of this cell, so that the direction
+    /// `[11-20]` of a hexagonal crystal is `[110]`. Angles within 1 mrad of 90 degrees are taken as right angles, and the atoms are
+    /// strained accordingly; [`Structure::oriented_within`] returns the strain. A cell that already has this form is returned unchanged.
     ///
     /// # Errors
     /// [`Error::Invalid`] if no such box has indices up to 24; it names the best angles.
@@ -61,8 +59,8 @@ impl Structure {
         Ok(self.oriented_within(zone, up, None)?.structure)
     }
 
-    /// As [`Structure::oriented`], with a limit for the strain: the largest principal strain (0.01 is one per cent) that may make
-    /// the angles of the box right. With a limit, the cell itself is the box where it is within.
+    /// Orients the crystal like [`Structure::oriented`], with a limit for the strain: the largest principal strain (0.01 is one per cent)
+    /// that may make the angles of the box right angles. With a limit, the cell itself is the box if its strain is within the limit.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a limit outside 0 to 0.1, and if no such box has indices up to 24.
@@ -79,7 +77,7 @@ impl Structure {
         }
         let limits = match max_strain {
             None => BoxLimits::USUAL,
-            // Shear by an angle strains by half of it.
+            // Shear by an angle causes a strain of half the angle.
             Some(strain) if (0.0..=MOST_STRAIN).contains(&strain) => {
                 BoxLimits { angle: 2.0 * strain, strain }
             }
@@ -146,12 +144,12 @@ impl Structure {
             && (limits.strain == f64::INFINITY || self.strain_of([x, y, z]) <= limits.strain)
     }
 
-    /// The largest principal strain that turns the lattice vectors into edges at right angles of the same lengths.
+    /// Returns the largest principal strain that turns the lattice vectors into edges of equal length at right angles.
     fn strain_of(&self, axes: [Indices; 3]) -> f64 {
         let [x, y, z] = axes.map(|n| cartesian(&self.cell, n));
         let cosine = |a: Vec3, b: Vec3| dot(a, b) / (norm(a) * norm(b));
         let [a, b, c] = [cosine(x, y), cosine(x, z), cosine(y, z)];
-        // The metric of unit vectors, 1 + m, has the squares of the stretches; m has three eigenvalues, with the sum 0.
+        // The metric of unit vectors, 1 + m, has the squares of the stretches as eigenvalues; the three eigenvalues of m add to 0.
         let size = ((a * a + b * b + c * c) / 3.0).sqrt();
         if size == 0.0 {
             return 0.0;
@@ -163,7 +161,7 @@ impl Structure {
         [0.0, 1.0, 2.0].map(strain).into_iter().fold(0.0, f64::max)
     }
 
-    /// The error, with the axes among small indices that come nearest to right angles.
+    /// Returns the error, with the axes of small indices whose angles are nearest to right angles.
     fn no_box(&self, z: Indices, y: Option<Indices>) -> Error {
         let cell = &self.cell;
         let all = directions(REPORT_INDEX);
@@ -252,13 +250,13 @@ fn cartesian(cell: &Mat3, n: Indices) -> Vec3 {
     row_times(n.map(|i| i as f64), cell)
 }
 
-/// Angle between two lattice directions in degrees.
+/// Returns the angle between two lattice directions in degrees.
 fn angle(cell: &Mat3, a: Indices, b: Indices) -> f64 {
     let (a, b) = (cartesian(cell, a), cartesian(cell, b));
     (dot(a, b) / (norm(a) * norm(b))).clamp(-1.0, 1.0).acos().to_degrees()
 }
 
-/// How far the angle between two lattice directions is from 90 degrees, in radian.
+/// Returns the difference of the angle between two lattice directions from 90 degrees, in radian.
 fn deviation(cell: &Mat3, a: Indices, b: Indices) -> f64 {
     let (a, b) = (cartesian(cell, a), cartesian(cell, b));
     (dot(a, b) / (norm(a) * norm(b))).clamp(-1.0, 1.0).asin().abs()
@@ -268,20 +266,20 @@ fn fits(cell: &Mat3, a: Indices, b: Indices, tolerance: f64) -> bool {
     deviation(cell, a, b) <= tolerance
 }
 
-/// `x` or its opposite.
+/// Returns `x` or its opposite, so that the axes are right-handed.
 fn right_handed(cell: &Mat3, x: Indices, y: Indices, z: Indices) -> Indices {
     let (vx, vy, vz) = (cartesian(cell, x), cartesian(cell, y), cartesian(cell, z));
     if dot(vx, cross(vy, vz)) < 0.0 { x.map(|i| -i) } else { x }
 }
 
-/// All directions without a common divisor, one of each opposite pair, indices up to `bound`.
+/// Returns all directions without a common divisor, one of each opposite pair, with indices up to `bound`.
 fn directions(bound: i64) -> Vec<Indices> {
     let range = -bound..=bound;
     let mut list = Vec::new();
     for w in range.clone() {
         for v in range.clone() {
             for u in range.clone() {
-                // The last index that is not zero is positive, so [010] stands for [0-10].
+                // The last index that is not zero is positive: [010] represents [0-10].
                 let first = [w, v, u].into_iter().find(|&i| i != 0).unwrap_or(0);
                 if first > 0 && gcd(gcd(u, v), w).abs() == 1 {
                     list.push([u, v, w]);
@@ -292,8 +290,8 @@ fn directions(bound: i64) -> Vec<Indices> {
     list
 }
 
-/// The directions perpendicular to `z` within the tolerance, shortest first; of equal ones that
-/// with fewer negative indices, then that along the later cell vector.
+/// Returns the directions perpendicular to `z` within the tolerance, shortest first; among equal lengths the direction with fewer negative
+/// indices first, then the direction along the later cell vector.
 fn perpendicular(cell: &Mat3, z: Indices, tolerance: f64) -> Vec<Indices> {
     let mut list: Vec<(f64, Indices)> = directions(LARGEST_INDEX)
         .into_iter()
@@ -308,8 +306,8 @@ fn perpendicular(cell: &Mat3, z: Indices, tolerance: f64) -> Vec<Indices> {
     list.into_iter().map(|(_, n)| n).collect()
 }
 
-/// The diagonal of the Hermite normal form of the sublattice spanned by `rows`. The translations
-/// [i, j, k] below it are one of each class, so that none is lost or doubled at a face.
+/// Returns the diagonal of the Hermite normal form of the sublattice spanned by `rows`. The translations [i, j, k] below it contain one of
+/// each class, so that no atom is lost or doubled at a face.
 fn hermite_diagonal(mut rows: [Indices; 3]) -> Indices {
     for column in 0..3 {
         // Euclid's algorithm on the rows leaves one nonzero entry at the top.
@@ -368,7 +366,7 @@ mod tests {
         assert!(
             (x - 7.8102).abs() < 1e-5 && (y - 7.8098).abs() < 1e-5 && (z - 7.8121).abs() < 1e-5
         );
-        // Half of the largest shear, (0.0021 + 0.0034) / 7.81, and a little for the others.
+        // Half of the largest shear, (0.0021 + 0.0034) / 7.81, and a little for the other shears.
         assert!((3.5e-4..4.5e-4).contains(&made.strain), "{}", made.strain);
         assert!(relaxed.oriented_within([0, 0, 1], None, Some(1e-4)).is_err());
         let message = relaxed.oriented_within([0, 0, 1], None, Some(0.5)).unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! Atoms in one place.
+//! Finds atoms in one place.
 
 use std::ops::ControlFlow;
 
@@ -6,25 +6,25 @@ use super::{Structure, elements, neighbors};
 
 /// Atoms closer than this, in Angstrom, must share one site by their occupancies.
 pub(super) const OVERLAP: f64 = 0.3;
-/// More atoms than this within the distance of an overlap are no site.
+/// Largest number of atoms within the distance of an overlap that can be one site.
 const MOST_ON_A_SITE: usize = 200;
 /// Sum of occupancies accepted on one site; above 1 for the sake of rounded thirds.
 pub(super) const FULLEST_SITE: f64 = 1.005;
 
-/// Atoms that cannot be there together.
+/// Atoms that cannot be present together.
 pub(super) enum Overlap {
-    /// Two, and their distance in Angstrom.
+    /// Two atoms, and their distance in Angstrom.
     Pair { first: usize, second: usize, distance: f64 },
-    /// This one and many others.
+    /// One atom and many others.
     Crowd { first: usize },
 }
 
 impl Overlap {
-    /// The first overlap of a structure.
+    /// Finds the first overlap of a structure.
     pub fn of(structure: &Structure) -> Option<Self> {
         let mut fault: Option<(usize, usize, f64)> = None;
         let (mut first, mut near) = (0, 0);
-        // What is wrong with one atom is found before the next: a million atoms in one place have too many pairs.
+        // The search stops at the first faulty atom: a million atoms in one place have too many pairs.
         let _ = neighbors::try_each_pair(structure, OVERLAP, |i, j, distance| {
             if i != first {
                 (first, near) = (i, 0);
@@ -45,7 +45,7 @@ impl Overlap {
         }
     }
 
-    /// The atom that is to be named.
+    /// Returns the atom that an error names.
     pub fn atom(&self) -> usize {
         match *self {
             Overlap::Pair { second, .. } => second,
@@ -53,7 +53,7 @@ impl Overlap {
         }
     }
 
-    /// What is wrong: `this` stands for that atom, and `place` says where another one is listed.
+    /// Describes the fault: `this` stands for that atom, and `place` describes where another atom is listed.
     pub fn describe(
         &self,
         structure: &Structure,

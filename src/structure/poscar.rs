@@ -1,4 +1,4 @@
-//! VASP POSCAR and CONTCAR files, version 5.
+//! Reads VASP POSCAR and CONTCAR files, version 5.
 
 use super::lattice::{determinant, row_times};
 use super::source_text::SourceText;
@@ -11,12 +11,12 @@ struct PoscarLines<'a> {
     lines: std::iter::Peekable<std::str::Lines<'a>>,
     /// Number of the last line taken.
     next: usize,
-    /// Lines of the file.
+    /// Number of lines in the file.
     count: usize,
 }
 
 impl<'a> PoscarLines<'a> {
-    /// The next line, with its number; `what` names it if the file ends first.
+    /// Returns the next line, with its number; `what` names the line in the error if the file ends first.
     fn take(&mut self, what: &str) -> Result<(usize, &'a str)> {
         self.next += 1;
         match self.lines.next() {
@@ -27,7 +27,7 @@ impl<'a> PoscarLines<'a> {
     }
 }
 
-/// A line up to `!` or `#`.
+/// Returns a line up to `!` or `#`.
 fn without_comment(line: &str) -> &str {
     line.split(['!', '#']).next().unwrap_or_default().trim()
 }
@@ -40,7 +40,7 @@ pub(super) fn begins_frame(line: &str) -> bool {
     line.trim().get(..FRAME.len()).is_some_and(|begin| begin.eq_ignore_ascii_case(FRAME))
 }
 
-/// Reads a POSCAR; velocities and whatever else follows a blank line are ignored.
+/// Reads a POSCAR; velocities and anything else after a blank line are ignored.
 pub(super) fn parse(text: &SourceText) -> Result<Structure> {
     let count = text.body.lines().count();
     let mut lines = PoscarLines { text, lines: text.body.lines().peekable(), next: 0, count };
@@ -77,10 +77,10 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
     text.finish(cell, atoms)
 }
 
-/// The scaled cell, and the scale of each Cartesian axis.
+/// Returns the scaled cell, and the scale of each Cartesian axis.
 fn cell(lines: &mut PoscarLines) -> Result<([[f64; 3]; 3], [f64; 3])> {
     let (scale_line, row) = lines.take("the scale factor")?;
-    // VASP reads no further than the numbers.
+    // VASP ignores text after the numbers.
     let words: Vec<&str> = row
         .split_whitespace()
         .take_while(|w| w.starts_with(|c: char| !c.is_alphabetic()))
@@ -99,7 +99,7 @@ fn cell(lines: &mut PoscarLines) -> Result<([[f64; 3]; 3], [f64; 3])> {
         *vector_of_cell = vector(lines.text, line, row, "a cell vector's component")?;
     }
     let scale = match factors[..] {
-        // A negative factor is the volume wanted.
+        // A negative factor is the volume of the cell.
         [f] if f < 0.0 => [(-f / determinant(&cell).abs()).cbrt(); 3],
         [f] => [f; 3],
         _ => [factors[0], factors[1], factors[2]],
@@ -116,7 +116,7 @@ fn cell(lines: &mut PoscarLines) -> Result<([[f64; 3]; 3], [f64; 3])> {
     Ok((cell, scale))
 }
 
-/// The atomic number of every atom, from the line of symbols and the line of counts.
+/// Returns the atomic number of every atom, from the line of symbols and the line of counts.
 fn species(lines: &mut PoscarLines) -> Result<Vec<u8>> {
     let (line, symbols) = lines.take("the line of element symbols")?;
     if symbols.split_whitespace().next().is_none_or(|word| word.parse::<f64>().is_ok()) {
@@ -128,7 +128,7 @@ fn species(lines: &mut PoscarLines) -> Result<Vec<u8>> {
     }
     let mut kinds = Vec::new();
     for word in symbols.split_whitespace() {
-        // `Sr_sv` and `Sr/5a8f...` name the potential, too.
+        // `Sr_sv` and `Sr/5a8f...` also name the potential.
         let symbol = word.split(['_', '/']).next().unwrap_or(word);
         if symbol.parse::<f64>().is_ok() {
             let message = format!("expected an element symbol, found the number `{symbol}`");

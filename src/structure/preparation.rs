@@ -1,46 +1,46 @@
-//! From the atoms of a file to those that are simulated: turned, strained, repeated, mixed sites drawn.
+//! Prepares the atoms of a file for simulation: rotates, strains and repeats the structure, and draws mixed sites.
 
 use super::lattice::{face_distances, inverse, row_times};
 use super::{ReadStructure, Structure};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Atoms further than this outside their cell, in Angstrom, are more than displaced.
+/// Atoms further than this outside their cell, in Angstrom, are more than displaced, and are reported.
 const OUTSIDE_ANGSTROM: f64 = 0.5;
-/// Strain below this is rounding of the file.
+/// Strain below this is rounding of the file, and is not reported.
 const TOLD_STRAIN: f64 = 1e-5;
 
-/// What is made of a structure.
+/// Settings of the preparation of a structure.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Preparation {
     /// Lattice direction along the beam.
     pub zone: Option<[i32; 3]>,
     /// Lattice direction along +y.
     pub up: Option<[i32; 3]>,
-    /// The largest principal strain in per cent that may make the box orthogonal. `None`: angles within 1 mrad of right ones are
-    /// made right where a zone is given.
+    /// Largest principal strain in per cent that may make the box orthogonal. With `None`, angles within 1 mrad of right angles are made
+    /// right if a zone is given.
     pub max_strain_percent: Option<f64>,
-    /// How often the box is repeated along x, y and the beam.
+    /// Number of repetitions of the box along x, y and the beam.
     pub repeat: Option<[usize; 3]>,
     /// Seed of mixed sites.
     pub seed: u64,
 }
 
-/// A structure in an orthogonal box, all of its sites occupied.
+/// A structure in an orthogonal box, with all sites occupied.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PreparedStructure {
     /// The atoms.
     pub structure: Structure,
     /// Edges of the box in Angstrom.
     pub size_angstrom: [f64; 3],
-    /// Sentences for the user, each a warning.
+    /// Warnings, as sentences for the user.
     pub notes: Vec<String>,
-    /// The largest principal strain in per cent that made the box orthogonal, where there was any.
+    /// Largest principal strain in per cent that made the box orthogonal, if there was any.
     pub strain_percent: Option<f64>,
 }
 
 impl Preparation {
-    /// Turns, strains and repeats a structure, and draws the atoms of mixed sites.
+    /// Rotates, strains and repeats a structure, and draws the atoms of mixed sites.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a cell that cannot be made orthogonal, sites that are too full, and too many atoms or none.
@@ -73,7 +73,7 @@ impl Preparation {
     }
 }
 
-/// What to say of atoms outside their cell.
+/// Reports atoms outside their cell.
 fn atoms_outside(structure: &Structure) -> Option<String> {
     let inverse = inverse(&structure.cell)?;
     let heights = face_distances(&structure.cell);

@@ -1,4 +1,4 @@
-//! Chooses the reader of a structure's file.
+//! Selects the reader for a file of a structure.
 
 use super::labelled_atoms::LabelledAtoms;
 use super::source_text::SourceText;
@@ -11,7 +11,7 @@ use std::path::Path;
 
 #[cfg(test)]
 thread_local! {
-    /// Structures that this thread has parsed.
+    /// Number of structures that this thread has parsed.
     pub(crate) static PARSED: std::cell::Cell<usize> = const { std::cell::Cell::new(0) };
 }
 
@@ -27,18 +27,18 @@ pub enum Format {
 }
 
 impl Format {
-    /// Bytes that a file may have.
+    /// Returns the largest size of a file in bytes.
     pub fn most_bytes(self) -> usize {
         match self {
-            // Its words are all kept until the end.
+            // All words of a CIF are kept until the end.
             Format::Cif => 32 << 20,
             // Ten million atoms with labels.
             Format::ExtXyz | Format::Poscar => 1 << 30,
         }
     }
 
-    /// The format that the file's name stands for: `.xyz`, `.extxyz`, `.cif`, `.vasp`, `.poscar`,
-    /// `.contcar`, or a name that begins with `POSCAR`, `CONTCAR` or `XDATCAR`.
+    /// Returns the format that the file's name stands for: `.xyz`, `.extxyz`, `.cif`, `.vasp`, `.poscar`, `.contcar`, or a name that begins
+    /// with `POSCAR`, `CONTCAR` or `XDATCAR`.
     ///
     /// # Errors
     /// [`Error::Invalid`] for any other name.
@@ -67,16 +67,16 @@ impl Format {
     }
 }
 
-/// A structure, and what there is to say of its file: what was left out, and where the file contradicts itself.
+/// A structure, and warnings about its file: what was left out, and where the file contradicts itself.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReadStructure {
     /// The atoms in their cell.
     pub structure: Structure,
-    /// Sentences for the user, each a warning.
+    /// Warnings, as sentences for the user.
     pub notes: Vec<String>,
 }
 
-/// Reads a structure as [`read_noted`] does, and leaves out what there is to say of it.
+/// Reads a structure like [`read_noted`], without the warnings.
 ///
 /// # Errors
 /// As [`read_noted`].
@@ -84,10 +84,9 @@ pub fn read(path: &Path) -> Result<Structure> {
     Ok(read_noted(path)?.structure)
 }
 
-/// Reads a structure; the file's name tells the format (see [`Format::from_path`]).
+/// Reads a structure; the file's name determines the format (see [`Format::from_path`]).
 ///
-/// Left-handed cells are accepted as they are: the positions are Cartesian, so handedness of the
-/// cell vectors does not mirror the crystal.
+/// Left-handed cells are accepted unchanged: the positions are Cartesian, so handedness of the cell vectors does not mirror the crystal.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Invalid`] for an unknown format, [`Error::Parse`] with the line.
@@ -96,7 +95,7 @@ pub fn read_noted(path: &Path) -> Result<ReadStructure> {
     parse_noted(format, &whole_file::read(path, format.most_bytes())?, path)
 }
 
-/// The thermal displacements that a CIF lists (U or B of its sites), in the mean of each element.
+/// Returns the thermal displacements in a CIF (U or B of its sites), averaged for each element.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Parse`] for another format, and for atoms without a value.
@@ -110,7 +109,7 @@ pub fn sigmas_of_file(path: &Path) -> Result<Sigmas> {
     Ok(Sigmas::ByElement(cif::displacements(&text)?))
 }
 
-/// Reads a structure from memory as [`parse_noted`] does, and leaves out what there is to say of it.
+/// Reads a structure from memory like [`parse_noted`], without the warnings.
 ///
 /// # Errors
 /// [`Error::Parse`] with the line.
@@ -133,7 +132,7 @@ pub fn parse_noted(format: Format, bytes: &[u8], path: &Path) -> Result<ReadStru
     Ok(ReadStructure { structure, notes })
 }
 
-/// The text of a file, once it is known to be of a format that is read.
+/// Returns the text of a file, after checking that it is of a format that is read.
 fn source_text<'a>(format: Format, bytes: &'a [u8], path: &'a Path) -> Result<SourceText<'a>> {
     #[cfg(test)]
     PARSED.set(PARSED.get() + 1);
@@ -155,8 +154,7 @@ fn source_text<'a>(format: Format, bytes: &'a [u8], path: &'a Path) -> Result<So
     Ok(text)
 }
 
-/// Reads atoms from memory with what the file says of each besides: extended XYZ has labels, other formats have none. `path` only
-/// names the file in errors.
+/// Reads atoms with their labels from memory: extended XYZ has labels, other formats have none. `path` only names the file in errors.
 ///
 /// # Errors
 /// As [`parse`]; [`Error::Parse`] with the line of a label that is not understood, and for sites that are partly occupied.

@@ -1,14 +1,14 @@
-//! Lattice sites as a simulation sees them: atoms that vibrate.
+//! Lattice sites for the simulation: atoms that vibrate.
 
 use super::{Structure, elements};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use std::collections::BTreeMap;
 
-/// Largest standard deviation accepted, in Angstrom: above, the crystal has melted.
+/// Largest accepted standard deviation, in Angstrom: above, the crystal has melted.
 pub const LARGEST_SIGMA_ANGSTROM: f64 = 1.0;
 
-/// A lattice site as the engine sees it: where it is on average, and how it vibrates.
+/// A lattice site for the engine: its mean position and its vibration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Site {
     /// Mean position in Angstrom, in the frame of the simulated box; the beam runs along +z.
@@ -17,28 +17,27 @@ pub struct Site {
     pub number: u8,
     /// Standard deviation of each Cartesian component of the thermal displacement, in Angstrom.
     pub sigma_angstrom: f64,
-    /// Names the site for the random numbers: its displacement in configuration `c` depends on
-    /// (seed, c, key) only, whichever box the site is simulated in.
+    /// Identifies the site for the random numbers: its displacement in configuration `c` depends on (seed, c, key) only, and not on the
+    /// simulated box.
     pub key: u64,
 }
 
-/// How far the atoms of a structure vibrate: the standard deviation of each Cartesian component of
-/// their thermal displacements, in Angstrom.
+/// Vibration of the atoms of a structure: the standard deviation of each Cartesian component of their thermal displacements, in Angstrom.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Sigmas {
-    /// They do not.
+    /// Atoms do not vibrate.
     None,
-    /// The same for all elements.
+    /// One value for all elements.
     All(f64),
-    /// By atomic number.
+    /// Values by atomic number.
     ByElement(BTreeMap<u8, f64>),
 }
 
 impl Sigmas {
-    /// The standard deviation of an element in Angstrom.
+    /// Returns the standard deviation of an element in Angstrom.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for an element without a value, and for one outside 0 to 1 A.
+    /// [`Error::Invalid`] for an element without a value, and for a value outside 0 to 1 A.
     pub fn of(&self, number: u8) -> Result<f64> {
         let sigma = match self {
             Sigmas::None => 0.0,
@@ -58,12 +57,12 @@ impl Sigmas {
 }
 
 impl Structure {
-    /// The atoms as sites of a simulation, in their order, with the standard deviations `sigmas`.
-    /// Positions are in Angstrom; the key of a site is the index of its atom.
+    /// Converts the atoms to sites of a simulation, in their order, with the standard deviations `sigmas`. Positions are in Angstrom; the
+    /// key of a site is the index of its atom.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for an element without a standard deviation (named), one outside 0 to 1 A, and
-    /// for sites that are partly occupied: [`Structure::resolve_occupancy`] draws their atoms first.
+    /// [`Error::Invalid`] with the name of an element without a standard deviation, for a value outside 0 to 1 A, and for sites that are
+    /// partly occupied: [`Structure::resolve_occupancy`] draws their atoms first.
     pub fn sites(&self, sigmas: &Sigmas) -> Result<Vec<Site>> {
         let site = |(index, atom): (usize, &super::Atom)| {
             if atom.occupancy != 1.0 {

@@ -1,5 +1,4 @@
-//! What all readers of structures share: text with line numbers, and the checks that every structure
-//! passes.
+//! Common parts of all readers of structures: text with line numbers, and the checks that every structure passes.
 
 use super::lattice::{determinant, face_distances, norm};
 use super::overlap::{FULLEST_SITE, OVERLAP, Overlap};
@@ -11,14 +10,14 @@ use std::path::Path;
 const CELL_LIMITS: [f64; 2] = [0.5, 1e6];
 /// Smallest accepted ratio of a cell's volume to the product of its edges.
 const FLATTEST_CELL: f64 = 1e-3;
-/// Positions beyond this, in Angstrom, are absurd.
+/// Largest accepted coordinate of a position, in Angstrom.
 pub(super) const FARTHEST: f64 = 1e7;
-/// Most atoms that a file may hold.
+/// Largest number of atoms in a file.
 pub(super) const MOST_ATOMS: usize = 10_000_000;
 /// Longest line in bytes.
 const LONGEST_LINE: usize = 1 << 16;
 
-/// Checks a cell; the error says what is wrong with it.
+/// Checks a cell; the error describes the fault.
 pub(super) fn check_cell(cell: &[[f64; 3]; 3]) -> std::result::Result<(), String> {
     let lengths = cell.map(norm);
     let [low, high] = CELL_LIMITS;
@@ -40,14 +39,14 @@ pub(super) fn check_cell(cell: &[[f64; 3]; 3]) -> std::result::Result<(), String
     Ok(())
 }
 
-/// A file's text, and its name for errors.
+/// The text of a file, and its name for errors.
 pub(super) struct SourceText<'a> {
     pub path: &'a Path,
     pub body: &'a str,
 }
 
 impl<'a> SourceText<'a> {
-    /// Refuses lines of absurd length.
+    /// Refuses lines that are too long.
     pub fn check_lines(&self) -> Result<()> {
         match self.lines().find(|(_, line)| line.len() > LONGEST_LINE) {
             None => Ok(()),
@@ -60,12 +59,12 @@ impl<'a> SourceText<'a> {
         }
     }
 
-    /// Refuses more atoms than are read.
+    /// Refuses more than the largest number of atoms.
     pub fn check_count(&self, line: usize, atoms: usize) -> Result<()> {
         self.check_count_to(line, atoms, MOST_ATOMS)
     }
 
-    /// The same for another limit.
+    /// Refuses more than `most` atoms.
     pub fn check_count_to(&self, line: usize, atoms: usize, most: usize) -> Result<()> {
         if atoms > most {
             let message = format!(
@@ -81,12 +80,12 @@ impl<'a> SourceText<'a> {
         Error::parse(self.path, line, message)
     }
 
-    /// The lines with their numbers from 1.
+    /// Returns the lines with their numbers from 1.
     pub fn lines(&self) -> impl Iterator<Item = (usize, &'a str)> + use<'a> {
         self.body.lines().enumerate().map(|(i, line)| (i + 1, line))
     }
 
-    /// A finite number; Fortran's `1.0D+00` is understood.
+    /// Reads a finite number, also in Fortran's form `1.0D+00`.
     pub fn number(&self, line: usize, what: &str, word: &str) -> Result<f64> {
         let parsed = word.parse::<f64>().or_else(|_| word.replace(['d', 'D'], "e").parse());
         match parsed {
@@ -109,13 +108,12 @@ impl<'a> SourceText<'a> {
         Ok(value.min(1.0))
     }
 
-    /// Checks the cell; `line` is where it stands.
+    /// Checks the cell; `line` is its line in the file.
     pub fn check_cell(&self, line: usize, cell: &[[f64; 3]; 3]) -> Result<()> {
         check_cell(cell).map_err(|message| self.error(line, message))
     }
 
-    /// Checks the atoms, each with the line it came from, and builds the structure. Sites with
-    /// occupancy 0 are dropped.
+    /// Checks the atoms, each with its line, and builds the structure. Sites with occupancy 0 are dropped.
     pub fn finish(&self, cell: [[f64; 3]; 3], atoms: Vec<(usize, Atom)>) -> Result<Structure> {
         self.check_count(0, atoms.len())?;
         if let Some((line, atom)) =

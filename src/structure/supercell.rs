@@ -1,4 +1,4 @@
-//! Repeated cells.
+//! Repeats cells.
 
 use super::alternatives::CopiedPlaces;
 use super::lattice::{Vec3, row_times};
@@ -6,10 +6,10 @@ use super::{Atom, Structure};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Most atoms that a supercell may have.
+/// Largest number of atoms in a supercell.
 const MOST_ATOMS: u128 = 500_000_000;
 
-/// Fails if `cells` cells of `atoms` atoms are too many.
+/// Fails if `cells` cells of `atoms` atoms have too many atoms.
 pub(super) fn check_size(cells: u128, atoms: usize) -> Result<()> {
     if cells.saturating_mul(atoms as u128) > MOST_ATOMS {
         return Err(Error::invalid(
@@ -22,7 +22,7 @@ pub(super) fn check_size(cells: u128, atoms: usize) -> Result<()> {
 }
 
 impl Structure {
-    /// The cell repeated `count` times along its vectors, cell by cell, the last axis fastest.
+    /// Repeats the cell `count` times along its vectors, cell by cell, the last axis fastest.
     ///
     /// # Errors
     /// [`Error::Invalid`] if a count is zero or there would be more than 5e8 atoms.

@@ -1,5 +1,5 @@
-//! Extended XYZ, as the Atomic Simulation Environment and OVITO write it: the number of atoms, a
-//! line of `key=value`, one line per atom.
+//! Reads and writes extended XYZ, as the Atomic Simulation Environment and OVITO write it: the number of atoms, a line of `key=value`, one
+//! line per atom.
 
 use super::elements::symbol;
 use super::lattice::{Vec3, subtract};
@@ -11,33 +11,33 @@ use crate::files::atomic_write;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Column of the place, and of the way in which it is filled, of atoms that exclude each other ([`Alternative`]).
+/// Columns with the place, and with its alternative, of atoms that exclude each other ([`Alternative`]).
 const ALTERNATIVE: &str = "alternative";
-/// What stands there for atoms that exclude none.
+/// Value of those columns for atoms that exclude none.
 const NO_ALTERNATIVE: &str = "-1 -1";
-/// Species of a site without atom, as the Atomic Simulation Environment has it.
+/// Species of a site without atom, as the Atomic Simulation Environment writes it.
 const VACANT: &str = "X";
 
-/// Neighbouring columns of an atom's line that have a name.
+/// Neighbouring columns of an atom's line with a common name.
 pub(super) struct XyzProperty {
-    /// In lower case.
+    /// Name, in lower case.
     pub name: String,
-    /// The first of its columns.
+    /// Index of the first column.
     pub first: usize,
-    /// The number of its columns.
+    /// Number of columns.
     pub width: usize,
 }
 
-/// Where the columns of an atom's line stand.
+/// Places of the columns in an atom's line.
 struct XyzColumns {
     element: usize,
-    /// Whether the element stands there as an atomic number.
+    /// Whether the element is written as an atomic number.
     numbers: bool,
     position: usize,
     occupancy: Option<usize>,
     alternative: Option<usize>,
     count: usize,
-    /// Whether the file itself announces the columns.
+    /// Whether the file itself announces its columns.
     announced: bool,
 }
 
@@ -46,7 +46,7 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
     read_frame(text, None)
 }
 
-/// Reads a file of exactly one frame; `labels` takes what it says of each atom besides.
+/// Reads a file of exactly one frame; `labels` receives the labels of each atom.
 pub(super) fn read_frame(
     text: &SourceText,
     mut labels: Option<&mut LabelReader>,
@@ -129,7 +129,7 @@ fn lattice(text: &SourceText, pairs: &[(String, String)]) -> Result<[[f64; 3]; 3
     Ok(cell)
 }
 
-/// Where the cell begins, in Angstrom: `Origin="x y z"`, as OVITO writes it.
+/// Reads the origin of the cell, in Angstrom: `Origin="x y z"`, as OVITO writes it.
 fn origin(text: &SourceText, pairs: &[(String, String)]) -> Result<Vec3> {
     let Some(value) = find(pairs, "origin") else { return Ok([0.0; 3]) };
     let words: Vec<&str> = value.split_whitespace().collect();
@@ -144,12 +144,12 @@ fn origin(text: &SourceText, pairs: &[(String, String)]) -> Result<Vec3> {
     Ok(origin)
 }
 
-/// The columns that the file announces, or those of plain XYZ.
+/// Returns the columns that the file announces, or the columns of plain XYZ.
 fn announced(pairs: &[(String, String)]) -> &str {
     find(pairs, "properties").unwrap_or("species:S:1:pos:R:3")
 }
 
-/// The properties of an atom's line, in their order.
+/// Reads the properties of an atom's line, in their order.
 fn properties(text: &SourceText, pairs: &[(String, String)]) -> Result<Vec<XyzProperty>> {
     let properties = announced(pairs);
     let fields: Vec<&str> = properties.split(':').collect();
@@ -202,7 +202,7 @@ fn columns(
     Ok(XyzColumns { element, numbers, position, occupancy, alternative, count, announced })
 }
 
-/// The words of an atom's line.
+/// Splits an atom's line into words.
 fn words<'a>(
     text: &SourceText,
     columns: &XyzColumns,
@@ -210,7 +210,7 @@ fn words<'a>(
     row: &'a str,
 ) -> Result<Vec<&'a str>> {
     let words: Vec<&str> = row.split_whitespace().collect();
-    // Plain XYZ files may have anything after the position.
+    // Plain XYZ files may have any text after the position.
     if words.len() < columns.count || (columns.announced && words.len() > columns.count) {
         let message = format!("this atom has {} columns, expected {}", words.len(), columns.count);
         return Err(text.error(line, message));
@@ -227,7 +227,7 @@ fn position(text: &SourceText, columns: &XyzColumns, line: usize, words: &[&str]
     Ok(position)
 }
 
-/// The atom of a line; none for a vacant site of the species `X`.
+/// Reads the atom of a line; `None` for a vacant site of the species `X`.
 fn atom(
     text: &SourceText,
     columns: &XyzColumns,
@@ -254,7 +254,7 @@ fn atom(
     Ok(Some(Atom { occupancy, alternative, ..atom }))
 }
 
-/// The alternative that two words name; none for -1.
+/// Reads an alternative from two words; `None` for -1.
 fn alternative(text: &SourceText, line: usize, words: [&str; 2]) -> Result<Option<Alternative>> {
     if words.join(" ") == NO_ALTERNATIVE {
         return Ok(None);
@@ -271,7 +271,7 @@ fn alternative(text: &SourceText, line: usize, words: [&str; 2]) -> Result<Optio
     }
 }
 
-/// What to say of a number where a symbol is expected.
+/// Returns the message about a number where a symbol is expected.
 fn number_of_species(species: &str) -> String {
     format!(
         "the species is the number `{species}`: if it is an atomic number, name the column in line 2, as in \
@@ -283,7 +283,7 @@ fn find<'a>(pairs: &'a [(String, String)], key: &str) -> Option<&'a str> {
     pairs.iter().find(|(k, _)| k == key).map(|(_, v)| v.as_str())
 }
 
-/// Splits `key=value key="quoted value" flag`; keys become lower case. Fails with the key whose value has no end.
+/// Splits `key=value key="quoted value" flag`; keys become lower case. Fails with the key whose value is not closed.
 fn key_values(line: &str) -> std::result::Result<Vec<(String, String)>, String> {
     let mut pairs = Vec::new();
     let mut rest = line.trim_start();
@@ -301,7 +301,7 @@ fn key_values(line: &str) -> std::result::Result<Vec<(String, String)>, String> 
     Ok(pairs)
 }
 
-/// The value at the start of `rest`, and what follows it; none for one that is never closed.
+/// Returns the value at the start of `rest`, and the text after it; `None` for a value that is never closed.
 fn take_value(rest: &str) -> Option<(String, &str)> {
     let close = match rest.chars().next() {
         Some(quote @ ('"' | '\'')) => quote,
@@ -326,9 +326,8 @@ fn take_value(rest: &str) -> Option<(String, &str)> {
     None
 }
 
-/// Writes the structure as extended XYZ, through a temporary file, so that `path` is either
-/// complete or untouched. Numbers are written so that reading returns the same bits. Atoms that exclude each other have a column
-/// `alternative:I:2`, which other programs pass over.
+/// Writes the structure as extended XYZ, through a temporary file, so that `path` is either complete or unchanged. Numbers are written so
+/// that reading returns identical bits. Atoms that exclude each other have a column `alternative:I:2`, which other programs ignore.
 ///
 /// # Errors
 /// [`crate::Error::Io`].

@@ -1,7 +1,7 @@
-//! Labels of atoms in extended XYZ: the columns `defect`, `phase` and `grain`.
+//! Reads labels of atoms in extended XYZ: the columns `defect`, `phase` and `grain`.
 //!
-//! `defect` (or `defect_type`, as files of specimens have it) is a word or a logical value: `none` or `F` for an atom that belongs
-//! there, `substitution_X`, `substitution` or `T` for one that does not. A missing atom is a line with the occupancy 0 and the label
+//! `defect` (or `defect_type`, as in files of specimens) is a word or a logical value: `none` or `F` for an atom that belongs there,
+//! `substitution_X`, `substitution` or `T` for an atom that does not. A missing atom is a line with the occupancy 0 and the label
 //! `vacancy_X`. `phase` is a word or a number, `grain` a number.
 
 use std::collections::HashMap;
@@ -12,26 +12,26 @@ use super::xyz::XyzProperty;
 use super::{Atom, elements};
 use crate::error::Result;
 
-/// Most phases or grains of a file.
+/// Largest number of phases or grains in a file.
 const MOST_GROUPS: usize = 4096;
-/// Longest name of a phase.
+/// Greatest length of a phase's name.
 const LONGEST_NAME: usize = 64;
-/// What a label of a vacancy begins with.
+/// Prefix of a vacancy's label.
 const VACANCY: &str = "vacancy_";
-/// What a label of a substitution begins with.
+/// Prefix of a substitution's label.
 const SUBSTITUTION: &str = "substitution_";
 
-/// Takes the labels of a file's atoms, line by line.
+/// Collects the labels of a file's atoms, line by line.
 #[derive(Default)]
 pub(super) struct LabelReader {
     defect: Option<usize>,
-    /// Column of the phases, or of the grains.
+    /// Column of the phases or of the grains.
     group: Option<usize>,
-    /// What stands before numbers of groups: `phase_` or `grain_`.
+    /// Prefix of numbers of groups: `phase_` or `grain_`.
     prefix: &'static str,
-    /// Whether there are grains that are not read, since there are phases.
+    /// Whether grains are ignored because there are phases.
     grains_unread: bool,
-    /// Groups in the order in which they were met.
+    /// Groups in the order in which they occur.
     names: Vec<String>,
     known: HashMap<String, u16>,
     atoms: Vec<LabelledAtom>,
@@ -54,7 +54,7 @@ impl LabelReader {
         Ok(())
     }
 
-    /// Takes what a line says; `atom` is that of the line, none for the species `X`.
+    /// Reads the labels of a line; `atom` is the atom of the line, `None` for the species `X`.
     pub fn take(
         &mut self,
         text: &SourceText,
@@ -105,14 +105,14 @@ impl LabelReader {
         Ok(index)
     }
 
-    /// The atoms; groups are sorted, numbers by value.
+    /// Returns the atoms; groups are sorted, numbers by value.
     pub fn finish(self, cell: [[f64; 3]; 3]) -> LabelledAtoms {
         let LabelReader { mut atoms, names, prefix, grains_unread, .. } = self;
         let unread = "the column `grain` is not read: the map of phases shows the column `phase`";
         let notes = grains_unread.then(|| unread.to_owned()).into_iter().collect();
         let mut order: Vec<usize> = (0..names.len()).collect();
         let number = |n: usize| names[n].parse::<i64>().ok();
-        // Numbers stand before words.
+        // Numbers come before words.
         let key = |n: usize| (number(n).is_none(), number(n), &names[n]);
         order.sort_by(|a, b| key(*a).cmp(&key(*b)));
         let mut rank = vec![0u16; names.len()];
@@ -129,7 +129,7 @@ impl LabelReader {
     }
 }
 
-/// The label of an atom of an element that is there.
+/// Reads the label of an atom.
 fn label_of_atom(text: &SourceText, line: usize, word: &str, number: u8) -> Result<SiteLabel> {
     let symbol = elements::symbol(number);
     match word {
@@ -155,7 +155,7 @@ fn label_of_atom(text: &SourceText, line: usize, word: &str, number: u8) -> Resu
     }
 }
 
-/// The element that is missing on a site without an atom; none where nothing is said of it.
+/// Returns the missing element of a site without an atom; `None` if there is no label.
 fn missing(text: &SourceText, line: usize, word: &str) -> Result<Option<u8>> {
     match word.strip_prefix(VACANCY) {
         Some(symbol) => text.element(line, symbol).map(Some),

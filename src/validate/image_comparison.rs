@@ -54,7 +54,7 @@ pub struct ImageComparison<'a> {
     pub about: String,
     /// Settings of our simulation, for the report.
     pub settings: Vec<NamedSetting>,
-    /// Path of the reference's file.
+    /// Origin of the reference: its file.
     pub source: String,
     /// Where `plan` has abTEM's numerics: a converged plan, so that the report shows the effect of abTEM's grid and slices.
     pub converged: Option<&'a Plan>,
@@ -65,7 +65,7 @@ pub struct ImageComparison<'a> {
 /// Simulates our image and compares it with the reference.
 ///
 /// # Errors
-/// Those of the engine.
+/// Errors of the engine.
 pub fn compare(progress: &dyn Progress, c: &ImageComparison) -> Result<Outcome> {
     let begun = Instant::now();
     let stages = 1 + usize::from(c.converged.is_some());

@@ -51,7 +51,7 @@ impl AuditJob {
     /// Estimates the memory in bytes that the audit takes on `threads` threads; also returns advice on how to need less.
     ///
     /// # Errors
-    /// Those of the plan.
+    /// Errors of the plan.
     pub fn memory(&self, threads: usize) -> Result<(u64, &'static str)> {
         let cost = audit_cost(&self.recipe, &*self.specimen, &self.options)?.cost;
         Ok((cost.memory_bytes(threads), AUDIT_REMEDY))
@@ -60,7 +60,7 @@ impl AuditJob {
     /// Simulates the regions with the exact engine and compares them.
     ///
     /// # Errors
-    /// Those of the imaging, and [`Error::Interrupted`].
+    /// Errors of the imaging, and [`Error::Interrupted`].
     pub fn run(&self, progress: &dyn Progress) -> Result<Audit> {
         let mut imager = self.imaging.imager(&self.recipe, &self.specimen)?;
         imager.prepare(progress)?;

@@ -139,7 +139,7 @@ impl BuildOptions {
     /// Derives the policy of a build from the options and a recipe.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for options that contradict each other, and those of [`window_for`].
+    /// [`Error::Invalid`] for options that contradict each other, and errors of [`window_for`].
     pub fn policy(&self, recipe: &CheckedRecipe) -> Result<BuildPolicy> {
         self.check_combination()?;
         let (simulator, warning) = self.simulator(recipe)?;

@@ -66,7 +66,7 @@ impl WorldPlan {
     /// Plans the build.
     ///
     /// # Errors
-    /// Those of the build's plan.
+    /// Errors of the build's plan.
     pub fn new(recipe: &Recipe, build: &WorldBuild, output: PathBuf) -> Result<Self> {
         let cost = build.cost()?;
         let field = &recipe.field;
@@ -114,7 +114,7 @@ impl WorldPlan {
     /// Lists the warnings of a build without its estimate of time, which would measure the speed of the machine.
     ///
     /// # Errors
-    /// Those of the build's plan.
+    /// Errors of the build's plan.
     pub fn warnings(build: &WorldBuild) -> Result<Vec<String>> {
         let (subtile, _) = build.subtile_plan()?;
         Ok(report(&SimulationRuns { runs: 0, ..subtile }).warnings)

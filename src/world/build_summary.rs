@@ -1,4 +1,4 @@
-//! What a build reports of its result, and of its accuracy beforehand.
+//! Reports of a build: its result, and warnings about its accuracy beforehand.
 
 use std::path::PathBuf;
 

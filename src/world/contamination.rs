@@ -50,7 +50,7 @@ impl<'a> GrowingCarbon<'a> {
     /// Adds the carbon that one frame deposits.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Errors of the settings.
     pub fn after_frame(
         &mut self,
         path: &ScanPath,

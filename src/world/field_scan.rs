@@ -166,7 +166,7 @@ impl FieldScanRows<'_> {
     /// Records rows.
     ///
     /// # Errors
-    /// Those of the noise-free image.
+    /// Errors of the noise-free image.
     pub fn rows(&mut self, rows: Range<usize>) -> Result<ScannedRows> {
         let kept = self.last.take().and_then(|(first, last)| {
             let own = rows.start.checked_sub(first).filter(|skip| *skip < last.values.nrows())?;

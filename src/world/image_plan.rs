@@ -26,7 +26,7 @@ impl ImagePlan {
     /// measured (0.2 s).
     ///
     /// # Errors
-    /// Those of the plan.
+    /// Errors of the plan.
     pub fn new(imager: &dyn RegionImager, part_px: [usize; 2], parts: usize) -> Result<Self> {
         let cost = imager.cost(part_px, parts)?;
         let mut plan = report(&cost.main);

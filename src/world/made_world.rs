@@ -41,7 +41,7 @@ impl WorldEngine {
 /// Returns how the images of a world were made, or how the images of a recipe would be made.
 ///
 /// # Errors
-/// Those of the policy of builds.
+/// Errors of the policy of builds.
 pub fn imaging_of(
     recipe: &CheckedRecipe,
     made: Option<&WorldEngine>,
@@ -60,7 +60,7 @@ pub fn imaging_of(
 /// Returns the imaging of a world that has not been built: a mosaic or a film, with windows as builds choose them.
 ///
 /// # Errors
-/// Those of the policy of builds.
+/// Errors of the policy of builds.
 pub fn planned_imaging(
     recipe: &CheckedRecipe,
     cache: Cache,

@@ -48,7 +48,7 @@ pub fn too_coarse(recipe: &Recipe) -> Option<Error> {
 /// that finer pixel: pixel (0, 0) stays where it was.
 ///
 /// # Errors
-/// Those of the recipe's limits.
+/// Errors of the recipe's limits.
 pub fn refined(recipe: &CheckedRecipe, parts: usize) -> Result<CheckedRecipe> {
     if parts == 1 {
         return Ok(recipe.clone());

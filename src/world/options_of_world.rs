@@ -18,7 +18,7 @@ impl BuildOptions {
     /// world. Files without the size of sub-tiles are taken to have the usual size.
     ///
     /// # Errors
-    /// Those of laying out the specimen.
+    /// Errors of laying out the specimen.
     pub fn of_world(world: &WorldFile, recipe: &CheckedRecipe) -> Result<Option<Self>> {
         let (metadata, making) = (world.metadata(), world.making());
         let parameters = metadata.engine_parameters.as_deref();

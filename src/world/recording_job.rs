@@ -134,7 +134,7 @@ impl RecordingRequest {
     /// Returns the settings of the recording.
     ///
     /// # Errors
-    /// Those of [`RecordingRequest::electrons`].
+    /// Errors of [`RecordingRequest::electrons`].
     pub fn options(&self, recipe: &CheckedRecipe) -> Result<RecordingOptions> {
         Ok(RecordingOptions {
             acquisition: self.table(recipe).resolved(),
@@ -169,7 +169,7 @@ impl RecordingJob {
     /// Prepares a recording of a recipe's field; `world` is a file with that field, and `made` describes how it was made.
     ///
     /// # Errors
-    /// Those of recipe, request and specimen.
+    /// Errors of recipe, request and specimen.
     pub fn new(
         recipe: &CheckedRecipe,
         (world, made): (Option<PathBuf>, Option<WorldEngine>),
@@ -198,7 +198,7 @@ impl RecordingJob {
     /// Plans the noise-free image of the part; `None` where the world holds it.
     ///
     /// # Errors
-    /// Those of the file and of the plan.
+    /// Errors of the file and of the plan.
     pub fn plan(&self, cache: Cache) -> Result<Option<ImagePlan>> {
         let RecordingJob { recipe, specimen, part, .. } = self;
         let parts = refinement(recipe);
@@ -220,7 +220,7 @@ impl RecordingJob {
     /// Makes the recording, from the noise-free image in the world or from an image that is simulated now.
     ///
     /// # Errors
-    /// Those of the file, of the imaging and of the recording.
+    /// Errors of the file, of the imaging and of the recording.
     pub fn run(
         &self,
         cache: Cache,

@@ -16,7 +16,7 @@ use crate::structure::elements;
 pub struct SiteTruth {
     /// (x, y, z) in nm; z from the entrance surface.
     pub position_nm: [f32; 3],
-    /// What the site holds.
+    /// Contents of the site.
     pub kind: SiteKind,
     /// Atomic number; of a vacancy, the atomic number of the missing atom.
     pub number: u8,

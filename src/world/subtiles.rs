@@ -81,7 +81,7 @@ impl Partition {
     /// the sub-tiles, so the bytes do not depend on threads.
     ///
     /// # Errors
-    /// Those of `load`.
+    /// Errors of `load`.
     pub fn blend(
         &self,
         band: Range<usize>,

@@ -61,7 +61,7 @@ pub const COLUMN_CLASSES: [&str; 5] =
 pub struct TrainingSet {
     /// Images with noise, as fractions of the beam: counted electrons divided by the electrons that fell on a pixel.
     pub images: Array3<f32>,
-    /// The images without noise; no tiles where the noise is that of a recording.
+    /// The images without noise; no tiles where the noise comes from a recording.
     pub clean: Array3<f32>,
     /// Gaussians of height 1 about columns; the nearest column counts.
     pub heat_maps: Array3<f32>,
@@ -86,7 +86,7 @@ pub struct TrainingSet {
 /// Makes the tiles. The imager must be prepared.
 ///
 /// # Errors
-/// [`Error::Invalid`] for tiles larger than the field and options out of limits; those of the engine,
+/// [`Error::Invalid`] for tiles larger than the field and options out of limits; errors of the engine,
 /// [`Error::Interrupted`].
 pub fn training_set(
     recipe: &CheckedRecipe,

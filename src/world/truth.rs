@@ -31,7 +31,7 @@ pub struct Counts {
 /// Writes sites, columns, boundaries, phases and particles; for a recording along `path` also its drift, and where columns appear.
 ///
 /// # Errors
-/// Those of the writer, and [`crate::Error::Interrupted`].
+/// Errors of the writer, and [`crate::Error::Interrupted`].
 pub fn write(
     specimen: &dyn Specimen,
     field: &Field,
@@ -85,7 +85,7 @@ fn appearance(path: &ScanPath, position_nm: [f32; 2]) -> [f32; 2] {
 /// first pixel in the full field.
 ///
 /// # Errors
-/// Those of the writer.
+/// Errors of the writer.
 pub fn write_recorded(
     specimen: &dyn Specimen,
     recording: &FieldRecording,

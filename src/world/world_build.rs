@@ -59,7 +59,7 @@ impl WorldBuild {
     /// Lays out the specimen and divides the field.
     ///
     /// # Errors
-    /// Those of the options and the specimen.
+    /// Errors of the options and the specimen.
     pub fn new(recipe: &CheckedRecipe, options: &BuildOptions) -> Result<Self> {
         let (specimen, policy) = (specimen(recipe)?, options.policy(recipe)?);
         WorldBuild::of_parts(recipe, options, specimen, policy, None)
@@ -68,7 +68,7 @@ impl WorldBuild {
     /// Lays out a build with an imager of the caller; `imager` makes it for the specimen that was laid out. No audit is made.
     ///
     /// # Errors
-    /// Those of the options, the specimen and `imager`.
+    /// Errors of the options, the specimen and `imager`.
     pub fn with_imager(
         recipe: &CheckedRecipe,
         options: &BuildOptions,
@@ -129,7 +129,7 @@ impl WorldBuild {
     /// Returns the warnings about the accuracy and about the files of crystals and atoms.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Errors of the settings.
     pub fn warnings(&self) -> Result<Vec<String>> {
         let mut warnings = self.policy.warnings.clone();
         // Only a recipe with a layer needs the imager here: choosing it looks at the whole field.
@@ -152,7 +152,7 @@ impl WorldBuild {
     /// Returns the simulation of one sub-tile, and the distance of its probes (x, y) in Angstrom.
     ///
     /// # Errors
-    /// Those of the plan.
+    /// Errors of the plan.
     pub fn subtile_plan(&self) -> Result<(SimulationRuns, [f64; 2])> {
         let (count, shape) = self.subtiles();
         let simulator = &self.policy.imaging.simulator;
@@ -162,7 +162,7 @@ impl WorldBuild {
     /// Estimates the cost of the image.
     ///
     /// # Errors
-    /// Those of the plan.
+    /// Errors of the plan.
     pub fn cost(&self) -> Result<ImagingCost> {
         let (count, shape) = self.subtiles();
         match &self.own {
@@ -183,7 +183,7 @@ impl WorldBuild {
     /// Returns the mosaic that the image is made from, with its library; `None` if the image is made otherwise.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Errors of the settings.
     pub fn library(&self) -> Result<Option<MosaicImager>> {
         let BuildLayout { imaged, specimen, .. } = &self.layout;
         self.policy.imaging.mosaic(imaged, specimen)
@@ -192,7 +192,7 @@ impl WorldBuild {
     /// Estimates the cost of the audit before the build, if one is made; `cost` is the cost of the image.
     ///
     /// # Errors
-    /// Those of the plan.
+    /// Errors of the plan.
     pub fn audit_cost(&self, cost: &ImagingCost) -> Result<Option<SimulationRuns>> {
         let BuildPolicy { imaging, check, .. } = &self.policy;
         let mosaic = cost.mosaic.as_ref();
@@ -211,7 +211,7 @@ impl WorldBuild {
     /// advice on how to need less. `cost` is the cost of the image.
     ///
     /// # Errors
-    /// Those of the plan.
+    /// Errors of the plan.
     pub fn memory(&self, cost: &ImagingCost, threads: usize) -> Result<(u64, &'static str)> {
         let image = (cost.memory_bytes(threads), cost.memory_remedy(threads));
         let audit = self.audit_cost(cost)?.map(|audit| audit.cost.memory_bytes(threads));
@@ -256,7 +256,7 @@ impl WorldBuild {
     /// all companions are written, the next run writes the others.
     ///
     /// # Errors
-    /// As [`build`], and those of the companions.
+    /// As [`build`], and errors of the companions.
     pub fn run_with(
         self,
         output: &Path,

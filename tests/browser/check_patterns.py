@@ -1,6 +1,6 @@
 """Looks at the page of `stemgen view PATTERNS.emd --html` and compares what it says with the file, and with the images of `stemgen integrate`.
 
-    python check_patterns.py PAGE.html PATTERNS.emd IMAGES.h5
+    python check_patterns.py PAGE.html PATTERNS.emd IMAGES.h5 [SCREENSHOT.png]
 
 IMAGES.h5 holds the images ring (15-32.5 mrad), com_x and com_y.
 """
@@ -39,7 +39,7 @@ class PatternPage:
 
 
 def main():
-    page_path, patterns_path, images_path = sys.argv[1:]
+    page_path, patterns_path, images_path = sys.argv[1:4]
     with Browser() as browser, h5py.File(patterns_path) as file, h5py.File(images_path) as images:
         page = PatternPage(browser, page_path)
         data = file["datacube_root/datacube/data"][:].astype(float)

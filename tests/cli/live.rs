@@ -55,7 +55,10 @@ fn nothing_lost_is_said_and_nonsense_is_refused() {
         stemgen(here)
             .args([&SERIES[..], &["--dose", "1e5", "--most-dose", "1e5", "-o", "s.h5"]].concat()),
     );
-    assert!(told.contains("the series comes to") && told.contains("larger --most-dose"), "{told}");
+    assert!(
+        told.contains("the dose of the whole series is") && told.contains("larger --most-dose"),
+        "{told}"
+    );
     let told = fails(stemgen(here).args([
         "live",
         "test",

@@ -87,6 +87,6 @@ fn the_hint_names_what_is_there() {
     let ended = meets(&build(here, Method::NoCache), FIRST_IMAGE, "signal=SIGTERM");
     let told = stderr(&ended);
     assert_eq!(ended.status.code(), Some(143), "{told}");
-    assert!(told.contains("goes on from"), "{told}");
+    assert!(told.contains("finished work"), "{told}");
     assert_eq!(files(&here.join("w.h5.work/library")).len(), 1, "the library is kept");
 }

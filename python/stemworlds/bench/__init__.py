@@ -1,16 +1,17 @@
-"""The benchmark: act in a world under a dose budget, and be scored by what was found for it.
+"""The benchmark: an agent acquires tiles of a world under a dose budget, and is scored by its findings.
 
 Importing it registers the environments with Gymnasium:
 
     >>> import gymnasium as gym, stemworlds.bench
     >>> env = gym.make("stemworlds/DefectCensus-v0", recipe="srtio3", difficulty="easy")   # doctest: +SKIP
 
-Agents play episodes, and experiments are many of them:
+An agent plays episodes. An experiment is a list of episodes:
 
     >>> from stemworlds.bench import make_agent, play
     >>> record = play(env, make_agent("GP-UCB"), seed=0)                                   # doctest: +SKIP
 
-It needs ``pip install 'stemworlds[bench]'``, agents ``'stemworlds[agents]'``; what else they need is imported when it is used.
+The environments need ``pip install 'stemworlds[bench]'``, the agents ``'stemworlds[agents]'``. Other packages are imported at their first
+use.
 """
 
 try:

@@ -1,4 +1,4 @@
-"""Agents: a navigator, an analyst and perhaps a planner, who play an episode together."""
+"""Agents: a navigator, an analyst and an optional planner that play an episode together."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ __all__ = ["Agent", "CompressedSensing", "Plays", "play", "random_of"]
 
 #: Electrons per square Angstrom of an acquisition with zoom 1 and dose 1.
 _REFERENCE_DOSE = 100.0
-#: Steps of an acquisition and a declaration.
+#: Number of steps that an acquisition and its declaration need.
 _ROUND = 3
 
 
 class Plays(Protocol):
-    """What :func:`play` plays: an :class:`Agent`, or anything with a name that acts by itself."""
+    """An agent that :func:`play` accepts: an :class:`Agent`, or any object with a name and a method ``run``."""
 
     name: str
 
     def run(self, env: gym.Env[Any, Any], seed: int) -> dict[str, Any]:
-        """Plays one episode; returns what belongs to its record besides the record of the environment (or that too, as ``record``)."""
+        """Plays one episode. Returns entries that are added to the environment's record; the key ``record`` replaces that record."""
 
 
 def random_of(seed: int, name: str) -> np.random.Generator:
-    """The random numbers of an agent in an episode."""
+    """Returns the random generator of an agent in an episode."""
     return np.random.default_rng([seed, int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")])
 
 
@@ -44,8 +44,9 @@ def play(env: gym.Env[Any, Any], agent: Plays, seed: int) -> dict[str, Any]:
     """Plays one episode.
 
     Returns:
-        The record of the environment, and beside it ``agent``, ``grid`` (rows and columns of tiles), ``notes`` (what analyst and planner
-        counted), ``modes`` (the plan of each acquisition) and ``wall`` (``seconds``, ``seconds_per_tile``). All but ``wall`` is the same each time.
+        The record of the environment, with ``agent``, ``grid`` (rows and columns of tiles), ``notes`` (numbers from analyst and
+        planner), ``modes`` (the plan of each acquisition) and ``wall`` (``seconds``, ``seconds_per_tile``). Another run with the same
+        seed gives an identical record except for ``wall``.
     """
     began = time.perf_counter()
     more = agent.run(env, seed)
@@ -60,11 +61,12 @@ def play(env: gym.Env[Any, Any], agent: Plays, seed: int) -> dict[str, Any]:
 
 
 class Agent:
-    """A navigator and an analyst, and perhaps a planner.
+    """A navigator and an analyst, and optionally a planner.
 
     Args:
-        name: seeds its random numbers, and stands in tables.
-        declare_every: declares after that many acquisitions, and at the end. Scores are recorded every fifth.
+        name: name of the agent in tables. It also seeds the agent's random numbers.
+        declare_every: acquisitions from one declaration to the next. The agent also declares at the end. By default, the environment
+            records a score every fifth acquisition.
     """
 
     def __init__(
@@ -116,7 +118,7 @@ class Agent:
         return {"notes": self._notes(), "modes": modes if any(modes) else [], "record": episode.record()}
 
     def last_word(self, seen: Seen) -> Findings | None:
-        """What is declared at the end of an episode."""
+        """Returns the findings to declare at the end of an episode; ``None`` for the analyst's latest findings."""
         return seen.findings
 
     def _start(self, world: Any, seen: Seen, seed: int) -> None:
@@ -139,10 +141,10 @@ class Agent:
 
 
 class CompressedSensing(Agent):
-    """Looks at a random mask of tiles; after the episode fills the others in, and shows them to an analyst of its own.
+    """Acquires a random mask of tiles. At the end it fills in the other tiles, and passes them to a second analyst.
 
     Args:
-        second: the analyst of the tiles that were filled in, another one than ``analyst``, since the two kinds differ in intensity.
+        second: the analyst of the filled-in tiles. It is a separate object, since acquired and filled-in tiles differ in intensity.
             ``None`` for analysts that know the truth.
     """
 
@@ -164,7 +166,7 @@ class CompressedSensing(Agent):
 
 
 class _Episode:
-    """An episode that is played: its steps, and what is not declared yet."""
+    """An episode in progress: its steps, and the findings that are not declared yet."""
 
     def __init__(self, world: Any, info: Mapping[str, Any]) -> None:
         self._world, self._info = world, info
@@ -173,20 +175,20 @@ class _Episode:
         self.undeclared: Findings | None = None
 
     def record(self) -> dict[str, Any] | None:
-        """The record that the last step gave."""
+        """Returns the record of the episode from the last step; ``None`` if the episode is not over."""
         return self._info.get("record")
 
     def dose_left(self) -> float:
         return 1 - float(self._info["dose_spent"]) / float(self._info["budget"])
 
     def has_room_for(self, look: Look) -> bool:
-        """Whether budget and horizon allow the acquisition and a declaration of it."""
+        """Returns whether budget and horizon allow the acquisition and its declaration."""
         cost = _REFERENCE_DOSE * look.dose * look.zoom**2
         budget = float(self._info["budget"])
         return float(self._info["dose_spent"]) + cost <= budget * (1 + 1e-9) and self._steps_left >= _ROUND
 
     def acquire(self, look: Look, seen: Seen) -> bool:
-        """Whether the tile was acquired."""
+        """Acquires a tile and adds it to ``seen``. Returns whether the tile was acquired."""
         self._took(self._world.acquire(look.row, look.column, zoom=look.zoom, dose=look.dose), 2)
         if "acquired" not in self._info:
             return False
@@ -213,8 +215,8 @@ class _Episode:
 
 
 def _merged(first: Findings, second: Findings) -> Findings:
-    """Both findings; where both have phases, those of the first. The columns are those of the first: only tiles that were seen have scores
-    by column."""
+    """Merges two findings. Phases of the first come before phases of the second. Columns come from the first alone, since only acquired
+    tiles have scores by column."""
     defects = dict(first.defects or {})
     for kind, places in (second.defects or {}).items():
         defects[kind] = np.concatenate([defects[kind], places]) if kind in defects else places

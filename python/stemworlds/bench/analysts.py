@@ -1,4 +1,4 @@
-"""Analysts that need no network: nothing, the truth, and thresholds."""
+"""Analysts without a network: one that declares nothing, one that declares the truth, and one with thresholds."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ __all__ = ["Heuristic", "Nothing", "Oracle", "TileByTile"]
 
 Values = npt.NDArray[np.float64]
 
-#: Defects of one kind nearer than this are one, seen in two tiles that overlap.
+#: Two defects of one kind closer than this are one defect, seen in two overlapping tiles.
 _SAME_NM = 0.08
 
 
 class Nothing:
-    """Declares that nothing is there: no defects, one phase, no particles. The floor of every navigator."""
+    """Declares no defects, one phase and no particles. Its score is the floor of every navigator."""
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
         pass
@@ -43,13 +43,13 @@ class _KnowsTruth(Protocol):
 
 
 class Oracle:
-    """Declares the truth of the tiles it has seen. The ceiling of every navigator."""
+    """Declares the truth of the acquired tiles. Its score is the ceiling of every navigator."""
 
     def __init__(self) -> None:
         self._world: _KnowsTruth | None = None
 
     def attach(self, world: _KnowsTruth) -> None:
-        """Takes the environment that is played; :func:`play` calls this."""
+        """Stores the environment of the episode. The agent calls this before an episode."""
         self._world = world
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
@@ -62,7 +62,7 @@ class Oracle:
 
 
 class TileByTile:
-    """Base of analysts that look at each tile once. Those that derive from it have :meth:`look` and :meth:`summary`."""
+    """Base of analysts that analyse each tile once. Derived classes define :meth:`look` and :meth:`summary`."""
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
         self.field: FieldFacts = field
@@ -77,7 +77,7 @@ class TileByTile:
     def _follow(self, tiles: Sequence[Acquired]) -> None:
         known = len(self._looked)
         if len(tiles) < known or any(a is not b for a, b in zip(tiles, self._looked, strict=False)):
-            # Another history: from the start.
+            # The tiles do not continue the list of the last call, so the analysis starts again.
             self._looked, known = [], 0
             self.begin()
         for tile in tiles[known:]:
@@ -85,28 +85,28 @@ class TileByTile:
             self._looked.append(tile)
 
     def begin(self) -> None:
-        """Forgets what was seen."""
+        """Forgets all tiles."""
         raise NotImplementedError
 
     def look(self, tile: Acquired) -> None:
-        """Looks at one more tile."""
+        """Analyses one more tile."""
         raise NotImplementedError
 
     def summary(self) -> Findings:
-        """What all tiles show."""
+        """Returns the findings of all tiles."""
         raise NotImplementedError
 
 
 class PlacedDefects:
-    """Defects by kind, each once although tiles overlap."""
+    """Collects defects by kind. A defect in two overlapping tiles counts once."""
 
     def __init__(self) -> None:
         self._places: dict[str, list[tuple[float, float]]] = {}
-        #: Those of each kind by square of that edge, so that neighbours are found at once.
+        #: Places of each kind, sorted into squares of that edge length, so that a search visits nine squares only.
         self._squares: dict[tuple[str, int, int], list[tuple[float, float]]] = {}
 
     def add(self, kind: str, places_nm: Values) -> None:
-        """Adds places (N, 2), x and y in nm, but those that are there already."""
+        """Adds places (N, 2), x and y in nm, except places that are already stored."""
         fresh = [(x, y) for x, y in places_nm.reshape(-1, 2).tolist() if not self._known(kind, x, y)]
         self._places.setdefault(kind, []).extend(fresh)
         for x, y in fresh:
@@ -126,18 +126,18 @@ def _square(x: float, y: float) -> tuple[int, int]:
 
 
 class Heuristic(TileByTile):
-    """The paper's analyst by thresholds.
+    """The STEMGym paper's analyst with thresholds.
 
-    Atoms: peaks of a tile, each with its z-score against the running mean and deviation of all peak intensities of the episode, this
-    tile's among them. Above ``threshold`` it is a substitution, below its negative a vacancy.
+    Atoms: each peak of a tile has a z-score against the running mean and deviation of all peak intensities of the episode, including this
+    tile. A peak above ``threshold`` is a substitution, a peak below its negative a vacancy.
 
-    Phases: the mean intensities of the tiles, split at their median, if the halves are ``bimodality`` deviations apart (Cohen's d); else
-    there is one phase. The split of a single normal mode has d = 2.65, that of a uniform one 3.46.
+    Phases: the mean intensities of the tiles are split at their median into two phases if the halves are ``bimodality`` deviations apart
+    (Cohen's d); otherwise there is one phase. The split of a single normal distribution has d = 2.65, of a uniform distribution 3.46.
 
     Args:
         threshold: in standard deviations.
         bimodality: the least Cohen's d that makes two phases.
-        particles: looks for particles: Otsu's threshold, connected regions, equivalent diameter. By default there are none.
+        particles: finds particles by Otsu's threshold, connected regions and equivalent diameter. By default no particles are declared.
     """
 
     def __init__(self, threshold: float = 1.5, *, bimodality: float = 4.0, particles: bool = False) -> None:
@@ -191,17 +191,17 @@ class Heuristic(TileByTile):
         return found
 
     def tile_counts(self, tiles: Sequence[Acquired]) -> Values:
-        """Claims in each tile, (N, 2); their errors are not known."""
+        """Returns the number of claimed defects in each tile, and NaN as its unknown error, (N, 2)."""
         self._follow(tiles)
         return np.array(self._counted, dtype=np.float64).reshape(-1, 2)
 
     def uncertainty(self, tiles: Sequence[Acquired]) -> Values:
-        """Of each tile, how near its peaks are to the threshold: mean entropy of a logistic step, in bits."""
+        """Returns for each tile how close its peaks are to the threshold: the mean entropy of a logistic step, in bits."""
         self._follow(tiles)
         return np.array(self._uncertain)
 
     def _remember(self, intensity: Values) -> None:
-        """Welford's running mean and sum of squares."""
+        """Updates the running mean and sum of squares by Welford's method."""
         for value in intensity.tolist():
             self._count += 1
             step = value - self._mean
@@ -216,7 +216,7 @@ class Heuristic(TileByTile):
         return result
 
     def _phases(self) -> npt.NDArray[np.int64] | None:
-        """Phase of each tile that was seen, -1 of the others, (rows, columns)."""
+        """Returns the phase of each acquired tile, and -1 for the others, (rows, columns)."""
         split = median_split(np.array([level for _, _, level in self._levels]), self.bimodality)
         if split is None:
             return None
@@ -227,7 +227,7 @@ class Heuristic(TileByTile):
 
 
 def median_split(levels: Values, least_d: float) -> npt.NDArray[np.bool_] | None:
-    """Which levels are above the median, if the halves are ``least_d`` deviations apart (Cohen's d); ``None`` for one mode."""
+    """Returns a mask of the levels above the median; ``None`` if the halves are less than ``least_d`` deviations apart (Cohen's d)."""
     upper = levels > np.median(levels) if len(levels) else np.zeros(0, dtype=bool)
     high, low = levels[upper], levels[~upper]
     if min(len(high), len(low)) < 2:
@@ -239,7 +239,7 @@ def median_split(levels: Values, least_d: float) -> npt.NDArray[np.bool_] | None
 
 
 def places_nm(peaks: Peaks, tile: Acquired) -> Values:
-    """Places (N, 2) of peaks, x and y in nm in the field."""
+    """Returns the places (N, 2) of peaks, x and y in nm in the field."""
     height, width = tile.image.shape
     x = tile.centre_nm[0] + (peaks.column_px - (width - 1) / 2) * tile.pixel_nm
     y = tile.centre_nm[1] + (peaks.row_px - (height - 1) / 2) * tile.pixel_nm
@@ -247,9 +247,9 @@ def places_nm(peaks: Peaks, tile: Acquired) -> Values:
 
 
 def find_particles(intensity: Values, tile: Acquired, *, least_nm: float = 0.5) -> list[tuple[float, float, float]]:
-    """Bright regions of a tile as (x, y, equivalent diameter) in nm.
+    """Finds the bright regions of a tile, as (x, y, equivalent diameter) in nm.
 
-    Otsu's threshold of the image smoothed by 0.1 nm; no region if the two sides of it are less than 4 deviations apart.
+    The threshold is Otsu's, of the image smoothed by 0.1 nm. There is no region if the two sides of it are less than 4 deviations apart.
     """
     filters, ndimage = needed("skimage.filters"), needed("scipy.ndimage")
     smooth: Values = ndimage.gaussian_filter(intensity, max(0.1 / tile.pixel_nm, 1.0), mode="nearest")
@@ -271,14 +271,14 @@ def find_particles(intensity: Values, tile: Acquired, *, least_nm: float = 0.5) 
 
 
 def find_regions(mask: npt.NDArray[np.bool_]) -> list[tuple[float, float, float]]:
-    """Regions of pixels that touch: row and column of the middle, and the diameter of a circle of the same area, in pixels."""
+    """Finds connected regions of pixels: row and column of the centroid, and the diameter of a circle of equal area, in pixels."""
     measure = needed("skimage.measure")
     regions: list[Any] = measure.regionprops(measure.label(mask))
     return [(*map(float, region.centroid), float(region.equivalent_diameter_area)) for region in regions]  # type: ignore[misc]
 
 
 def _doubt(beyond: Values) -> float:
-    """Mean entropy in bits of logistic steps of width a quarter of a deviation."""
+    """Returns the mean entropy in bits of logistic steps, each a quarter of a deviation wide."""
     if beyond.size == 0:
         return 0.0
     chance = 1 / (1 + np.exp(-np.clip(beyond / 0.25, -40, 40)))
@@ -286,6 +286,6 @@ def _doubt(beyond: Values) -> float:
 
 
 def entropy_bits(chances: Values) -> Values:
-    """Entropy over the first axis, in bits."""
+    """Returns the entropy over the first axis, in bits."""
     result: Values = -(chances * np.log2(np.maximum(chances, 1e-300))).sum(axis=0)
     return result

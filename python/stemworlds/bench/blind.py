@@ -1,4 +1,7 @@
-"""The blind analyst: it knows the recipe's usual specimens, and never reads a pixel. A score below its own shows no seeing."""
+"""The blind analyst: it knows the recipe's usual specimens, and reads no pixel.
+
+An agent with a score below the blind analyst's score does not profit from its images.
+"""
 
 from __future__ import annotations
 
@@ -28,17 +31,17 @@ __all__ = ["Usual"]
 Values = npt.NDArray[np.float64]
 Phases = npt.NDArray[np.int64]
 
-#: Cells along the edge of a tile by which the area seen is told: its edge in pixels over the pixels that neighbouring tiles share.
+#: Cells along the edge of a tile in which the seen area is counted: the edge (128 pixels) over the shared pixels of neighbouring tiles (4).
 _CELLS = 32
-#: Specimens of the split for training that tell where phases usually are.
+#: Number of specimens of the training split from which the usual places of phases are counted.
 _PHASE_SPECIMENS = 3
 
 
 def recipe_of(world: Any) -> Recipe:
-    """The recipe of an environment.
+    """Returns the recipe of an environment.
 
     Raises:
-        InvalidValue: where the world has none: a recorded image, or a file of another program.
+        InvalidValue: if the world has no recipe: a recorded image, or a file of another program.
     """
     recipe = getattr(world, "recipe", None)
     if recipe is None:
@@ -48,13 +51,14 @@ def recipe_of(world: Any) -> Recipe:
 
 
 class Usual:
-    """Declares what specimens of the recipe usually hold where the agent has looked.
+    """Declares the usual content of the recipe's specimens in the acquired tiles.
 
-    Defect census: as many defects of each type as are usual there. Targeted: that many, at random places. Phases: those most often there in
-    specimens of the split for training. The field: its usual map. Particles: one of the middle size in each tile, if most tiles hold one, else none.
+    Defect census: the usual number of defects of each type. Targeted characterisation: the usual number, at random places. Phase mapping:
+    the commonest phases in specimens of the training split. Tasks about the field: its usual map. Particle census: one particle of medium
+    size in each tile if most tiles contain one, otherwise none.
 
     Args:
-        places: in the defect census too, names random places instead of counts.
+        places: declares random places instead of counts in the defect census as well.
     """
 
     def __init__(self, places: bool = False) -> None:
@@ -62,7 +66,7 @@ class Usual:
         self._world: Any = None
 
     def attach(self, world: Any) -> None:
-        """Takes the environment that is played; only its recipe is used."""
+        """Stores the environment of the episode. Its recipe is used; its images are not."""
         self._world = world
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
@@ -81,13 +85,16 @@ class Usual:
         return self._defects(tiles)
 
     def tile_counts(self, tiles: Sequence[Acquired]) -> Values:
-        """What is usual in each tile, (N, 2), with its chance as error: nothing was read."""
+        """Returns the usual number of defects in each tile, and the standard deviation of that number, (N, 2)."""
         usual = expected_counts(self._recipe, grid_of(self._recipe)).ravel()[[tile.row * self._field.grid[1] + tile.column for tile in tiles]]
         return np.column_stack([usual, np.sqrt(usual) + 1])
 
     def _field_map(self, tiles: Sequence[Acquired]) -> Findings:
-        """The usual map, the columns seen that are likeliest to hold defects by their kind and place, and tiles that are usually rare. Where the columns
-        lie, and what they are made of, is known to it as to the ideal observer; what they hold is not looked at."""
+        """Returns the usual map, the seen columns that contain defects most probably by their kind and place, and the tiles that are
+        usually rare.
+
+        It reads the places and kinds of the columns from the specimen, as the ideal observer does. It does not read their defects.
+        """
         usual = expected_counts(self._recipe, grid_of(self._recipe))
         if not tiles:
             return Findings(density=usual)
@@ -99,7 +106,7 @@ class Usual:
         return Findings(density=usual, rare=rare, columns=columns)
 
     def _likeliest(self, tiles: Sequence[Acquired]) -> Values:
-        """The columns seen in which most defects are usual."""
+        """Returns the seen columns with the greatest usual numbers of defects."""
         prior, columns = prior_of(self._recipe), field_truth(self._world.specimen().toml).columns
         x, y = columns.places_nm.T
         seen = np.zeros(len(x), dtype=bool)
@@ -134,7 +141,7 @@ class Usual:
         diameter = float(np.mean(particles["diameter_nm"]))
         edge = tiles[0].size_nm
         reached = edge**2 + 2 * edge * diameter + math.pi * diameter**2 / 4
-        # Particles lie anywhere: Poisson's chance that none reaches a tile.
+        # Particles have random places, so the probability that none reaches a tile is Poisson's.
         if math.exp(-particles["count"] * reached / (height * width)) > 0.5:
             return Findings()
         places = np.unique([tile.centre_nm for tile in tiles], axis=0)
@@ -145,7 +152,7 @@ class Usual:
 
 
 def fresh_areas_nm2(tiles: Sequence[Acquired]) -> list[float]:
-    """The area of each tile that none before it shows, to 1/32 of a tile's edge."""
+    """Returns the area of each tile that no earlier tile shows, with a resolution of 1/32 of a tile's edge."""
     seen: set[tuple[int, int]] = set()
     areas = []
     for tile in tiles:
@@ -160,10 +167,10 @@ def fresh_areas_nm2(tiles: Sequence[Acquired]) -> list[float]:
 
 @functools.lru_cache(maxsize=32)
 def usual_phases(toml: str) -> Phases:
-    """Where phases usually are, as equal parts of the field: the commonest phase of each part along x or y, or of all of it, whichever
-    foretells specimens best that were left out.
+    """Returns the usual phase of each part of the field.
 
-    Three specimens of the split for training are looked at along one row and one column of tiles.
+    The field is divided along x, along y, or not at all. The division is used that predicts left-out specimens best. Three specimens of the
+    training split are evaluated, each along one row and one column of tiles.
     """
     recipe = Recipe(toml)
     seen = [_phases_of(recipe, seed) for seed in TRAINING_SEEDS[:_PHASE_SPECIMENS]]
@@ -181,7 +188,7 @@ def usual_phases(toml: str) -> Phases:
 
 
 def _phases_of(recipe: Recipe, seed: int) -> Phases:
-    """The phases of a specimen along the middle row and column of its tiles; -1 elsewhere."""
+    """Returns the phases of a specimen along the middle row and column of its tiles; -1 elsewhere."""
     from .environment import MicroscopeEnv
 
     rows, columns = recipe.grid
@@ -195,7 +202,8 @@ def _phases_of(recipe: Recipe, seed: int) -> Phases:
 
 
 def _commonest(seen: Sequence[Phases], axis: Axis) -> Phases:
-    """The commonest phase, ``(1, 1)``, ``(1, columns)`` or ``(rows, 1)``; where nothing was seen, the commonest of all."""
+    """Returns the commonest phase, ``(1, 1)``, ``(1, columns)`` or ``(rows, 1)``. Parts without a tile get the commonest phase of the
+    field."""
     shape = max((one.shape for one in seen), key=lambda shape: shape[0] * shape[1])
     phases = np.stack([np.broadcast_to(one, shape) for one in seen])
     most = int(phases.max(initial=0)) + 1
@@ -208,5 +216,5 @@ def _commonest(seen: Sequence[Phases], axis: Axis) -> Phases:
 
 
 def prior_at(world: Any) -> Prior:
-    """The prior of an environment's recipe."""
+    """Returns the prior of an environment's recipe."""
     return prior_of(recipe_of(world))

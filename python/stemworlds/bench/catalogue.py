@@ -1,4 +1,4 @@
-"""Agents by name, and agents made from tables of a TOML file."""
+"""Makes agents from names, or from tables of a TOML file."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ _ANALYSTS: dict[str, Callable[..., Any]] = {
     "vlm": _vlm,
 }
 _PLANNERS: dict[str, Callable[..., Any]] = {"none": NoPlanner, "modes": ModePlanner, "rules": _rules, "llm": _language_model}
-#: What takes its options as keywords of another function.
+#: Functions with ``**options``, and the options that each accepts.
 _SIGNATURES: dict[Callable[..., Any], set[str]] = {
     _vlm: set(_ENDPOINT),
     _language_model: {*_ENDPOINT, "every"},
@@ -117,16 +117,16 @@ _PRESETS: dict[str, Table] = {
 
 
 def agent_names() -> list[str]:
-    """Names of the agents that :func:`make_agent` knows."""
+    """Returns the names of the agents that :func:`make_agent` knows."""
     return list(_PRESETS)
 
 
 def agent_specification(given: str | Table | Plays, folder: str | None = None) -> dict[str, Any]:
-    """An agent as a whole table, checked: ``{"name": "Raster", "navigator": {"kind": "raster"}, ...}``.
+    """Returns the complete, checked table of an agent: ``{"name": "Raster", "navigator": {"kind": "raster"}, ...}``.
 
     Args:
-        given: a name; ``"package.module:Class"``, which is called without arguments and gives an agent; a table; or an agent.
-        folder: where modules are looked for besides Python's own path.
+        given: a name; ``"package.module:Class"``, which is called without arguments and returns an agent; a table; or an agent.
+        folder: a folder that is searched for modules in addition to Python's path.
 
     Raises:
         InvalidValue: for unknown names, keys and options, and modules that cannot be imported.
@@ -166,7 +166,7 @@ def agent_specification(given: str | Table | Plays, folder: str | None = None) -
 
 
 def _python_agent(given: Table, folder: str | None) -> dict[str, Any]:
-    """The table of an agent of another package."""
+    """Returns the checked table of an agent from another package."""
     whole = {"name": given["python"], **given} if folder is None else {"name": given["python"], "folder": folder, **given}
     for key in whole:
         if key not in PYTHON_KEYS:
@@ -190,13 +190,13 @@ def _python_made(whole: Table) -> Plays:
 
 
 def make_agent(given: str | Table | Plays) -> Plays:
-    """An agent by its name, or from a table as in TOML files of experiments.
+    """Makes an agent from its name, or from a table in the form of the experiments' TOML files.
 
     >>> agent = make_agent("GP-UCB")
     >>> agent = make_agent({"name": "mine", "navigator": {"kind": "gp", "beta": 1.0}, "analyst": "heuristic"})
     """
     if isinstance(given, Mapping) and "pickle" in given:
-        # As an experiment holds it; files cannot.
+        # An experiment in memory may hold a pickled agent; a TOML file cannot.
         return unpickled(given)
     if not isinstance(given, str | Mapping):
         return given
@@ -221,7 +221,7 @@ _KINDS = {"navigator": _NAVIGATORS, "analyst": _ANALYSTS, "planner": _PLANNERS}
 
 
 def _part(agent: str, part: str, given: Any, kinds: Mapping[str, Callable[..., Any]]) -> dict[str, Any]:
-    """A part as a table with its kind; its options are checked by name."""
+    """Returns a part of an agent as a table with its kind. The names of its options are checked."""
     table = {"kind": given} if isinstance(given, str) else given
     if not isinstance(table, Mapping) or not isinstance(table.get("kind"), str):
         raise _invalid("agent", f"agent {agent!r}: {part} = {reprlib.repr(given)}: expected a name, or a table with a kind")
@@ -247,7 +247,7 @@ def _made(agent: str, part: str, table: Table, kinds: Mapping[str, Callable[...,
 
 
 def unknown(name: str, known: Any) -> str:
-    """What to say of a name that is not known."""
+    """Returns the message about an unknown name, with similar known names."""
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     if near:

@@ -1,4 +1,4 @@
-"""The true atomic columns of a specimen, without an image: what priors are counted from, and what forecasts are scored against."""
+"""The true atomic columns of a specimen, without an image. Priors are counted from them, and forecasts are scored against them."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Columns:
 
     Attributes:
         places_nm: (N, 2), x and y in the field.
-        kinds: (N,), what each column is made of when nothing is missing or replaced: an index into ``names``.
-        names: the elements of each kind, ``"O"``, ``"O Ti"``.
+        kinds: (N,), the kind of each column, an index into ``names``. It ignores vacancies and substitutions.
+        names: the elements of each kind without defects, ``"O"``, ``"O Ti"``.
         defects: (N, 2), numbers of vacancies and of substitutions.
     """
 
@@ -39,29 +39,29 @@ class Columns:
     defects: Whole
 
     def counts(self, target: str | None) -> Whole:
-        """Defects of the type ``target`` in each column, or of all types."""
+        """Returns the number of defects of the type ``target`` in each column; of all types if it is ``None``."""
         if target is None:
             total: Whole = self.defects.sum(axis=1)
             return total
         return self.defects[:, DEFECT_TYPES.index(target)]
 
     def within(self, left: float, top: float, right: float, bottom: float) -> Columns:
-        """The columns in a rectangle, edges in nm."""
+        """Returns the columns in a rectangle, edges in nm."""
         x, y = self.places_nm.T
         there = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
         return Columns(self.places_nm[there], self.kinds[there], self.names, self.defects[there])
 
 
 def columns_of(toml: str, region_nm: tuple[float, float, float, float] | None = None, *, threads: int | None = None) -> Columns:
-    """The columns of a recipe's specimen in a region (left, upper, right and lower edge in nm of the field), or all of them.
+    """Lists the columns of a recipe's specimen in a region (left, upper, right and lower edge in nm of the field), or all columns.
 
-    Nothing is simulated: the atoms are laid out, and counted.
+    No image is simulated: the atoms are laid out and counted.
     """
     found = call(_core.specimen_sites, toml, region_nm, running(threads, False))
     own = found["columns"] >= 0
     numbers, types, columns = found["numbers"][own], found["types"][own], found["columns"][own]
     places = found["positions_nm"].reshape(-1, 3)[own, :2]
-    # Columns are counted from 0 on; only one without a site of its own would be missing.
+    # Columns are numbered from 0, and each has a site, so the greatest index gives their number.
     count = int(columns.max(initial=-1)) + 1
     sites = np.bincount(columns, minlength=count)
     held = np.flatnonzero(sites)
@@ -73,7 +73,7 @@ def columns_of(toml: str, region_nm: tuple[float, float, float, float] | None = 
 
 
 def _hosts(numbers: npt.NDArray[Any], types: npt.NDArray[Any], recipe: Mapping[str, Any]) -> npt.NDArray[Any]:
-    """Atomic numbers of the sites before any atom was replaced."""
+    """Returns the atomic numbers of the sites before substitution."""
     hosts = numbers.copy()
     for table, guest, host in (("alloy", "guest", "host"), ("substitutions", "by", "element")):
         if table in recipe:
@@ -83,7 +83,7 @@ def _hosts(numbers: npt.NDArray[Any], types: npt.NDArray[Any], recipe: Mapping[s
 
 
 def _kinds(hosts: npt.NDArray[Any], index: npt.NDArray[Any], count: int) -> tuple[tuple[str, ...], Whole]:
-    """The elements of each column: names of the kinds in the order of the alphabet, and the kind of each column."""
+    """Returns the names of the kinds in alphabetical order, and the kind of each column."""
     elements = [int(number) for number in np.flatnonzero(np.bincount(hosts, minlength=1))]
     held = np.zeros((count, len(elements)), dtype=bool)
     for which, number in enumerate(elements):

@@ -71,7 +71,7 @@ def main(words: Sequence[str] | None = None) -> int:
         print("interrupted", file=sys.stderr)
         return _INTERRUPTED
     except BrokenPipeError:
-        # Whoever reads has enough.
+        # The reader of the pipe has closed it, so nothing more is printed.
         sys.stdout = None
         return 0
 

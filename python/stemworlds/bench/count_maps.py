@@ -1,4 +1,4 @@
-"""Maps of a field from counts in a few tiles: Gaussian processes over the grid, averaged over how smooth the field may be."""
+"""Estimates maps of a field from counts in a few tiles, by Gaussian processes over the grid, averaged over correlation lengths."""
 
 from __future__ import annotations
 
@@ -12,30 +12,33 @@ import numpy.typing as npt
 Values = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
-#: Correlation lengths along y and x in tiles that are thought possible.
+#: Correlation lengths, in tiles, that are tried along y and x.
 LENGTHS = (0.5, 1.5, 4.0, 12.0, 40.0)
-#: Shares of the counts' mean square that the field itself may have; where the noise is not known, the rest is noise.
+#: Shares of the counts' mean square that are tried for the variance of the field. If the noise is unknown, the rest is noise.
 _SHARES = (0.0, 0.1, 0.3, 0.6, 1.0)
-#: Least share that is noise where it is not known, and least variance of the field in units of the noise.
+#: Least share of noise if the noise is unknown, and least variance of the field in units of the noise.
 _LEAST_NOISE, _LEAST_FIELD = 0.02, 0.001
-#: The likeliest ideas count, as many as these.
+#: Number of hypotheses that are kept, the likeliest first.
 _MOST_IDEAS = 12
 
 
 @dataclass(frozen=True, eq=False)
 class CountMap:
-    """What is expected in each tile, ``[row, column]``.
+    """Expected numbers of defects in each tile, ``[row, column]``.
 
     Attributes:
         mean: expected numbers of defects.
-        deviation: standard deviations of that expectation: of the field's rate, without the chance of the number itself.
+        deviation: standard deviations of the expected numbers. They contain the uncertainty of the rate, without Poisson noise.
     """
 
     mean: Values
     deviation: Values
 
     def numbers(self) -> Values:
-        """Expected numbers, none below 0: of a normal distribution what lies below is 0, so a tile of which little is known never gets none."""
+        """Returns expected numbers that are not negative: means of the normal distributions with their negative part set to 0.
+
+        An uncertain tile therefore never gets 0.
+        """
         deviation = np.maximum(self.deviation, 1e-12)
         z = np.clip(self.mean / deviation, -30.0, 30.0)
         density = np.exp(-0.5 * z**2) / math.sqrt(2 * math.pi)
@@ -46,7 +49,7 @@ class CountMap:
 
 @dataclass(frozen=True)
 class _Field:
-    """One idea of the field: correlation lengths in tiles, the field's variance, that of the noise where it is not known, and how likely it is."""
+    """One hypothesis: correlation lengths in tiles, variance of the field, variance of the noise if it is unknown, and weight."""
 
     lengths: tuple[float, float]
     variance: float
@@ -57,11 +60,12 @@ class _Field:
 class CountProcess:
     """A Gaussian process over the tiles of a grid, Matern 3/2, fitted to counts.
 
-    It averages over correlation lengths and variances, each weighted by its likelihood, so that noise alone leaves the map as it was expected.
+    It averages over correlation lengths and variances, weighted by their likelihoods. Pure noise therefore leaves the expected map
+    unchanged.
 
     Args:
         grid: rows and columns of tiles.
-        expected: the map that is expected without counts; ``None`` for one that is the same everywhere, as the counts' mean says.
+        expected: the expected map before any count, ``[row, column]``; ``None`` for a constant map with the mean of the counts.
     """
 
     def __init__(self, grid: tuple[int, int], expected: Values | None = None) -> None:
@@ -70,12 +74,12 @@ class CountProcess:
         self._ideas: list[_Field] = []
 
     def fit(self, tiles: Whole, counts: Values, sigmas: Values) -> None:
-        """Weighs the ideas.
+        """Computes the weights of the hypotheses.
 
         Args:
-            tiles: (N,), rows times columns plus columns.
-            counts: (N,), of each tile.
-            sigmas: (N,), their standard deviations; NaN where they are not known.
+            tiles: (N,), indices of the tiles: row times number of columns, plus column.
+            counts: (N,), number of defects counted in each tile.
+            sigmas: (N,), standard deviations of the counts; NaN for unknown ones.
         """
         level, known = self._level(tiles, counts, sigmas), bool(np.isfinite(sigmas).all())
         off = counts - level
@@ -95,7 +99,7 @@ class CountProcess:
         self._ideas = [_Field(idea.lengths, idea.variance, idea.noise, float(weight)) for idea, weight in zip(kept, weights, strict=True)]
 
     def predict(self, tiles: Whole, counts: Values, sigmas: Values) -> CountMap:
-        """The map of all tiles."""
+        """Returns the map of all tiles."""
         rows, columns = self._grid
         level = self._level(tiles, counts, sigmas)
         everywhere = np.arange(rows * columns)
@@ -113,14 +117,14 @@ class CountProcess:
         return CountMap((base + mean).reshape(rows, columns), deviation.reshape(rows, columns))
 
     def _level(self, tiles: Whole, counts: Values, sigmas: Values) -> Values:
-        """What is expected of the tiles."""
+        """Returns the expected numbers of the tiles before any count."""
         if self._expected is not None:
             result: Values = self._expected.ravel()[tiles]
             return result
         return np.full(len(tiles), float(counts.mean()))
 
     def _kernel(self, lengths: tuple[float, float], first: Whole, second: Whole) -> Values:
-        """Correlations of tiles."""
+        """Returns the correlations between tiles."""
         columns = self._grid[1]
         down = (first[:, None] // columns - second[None, :] // columns) / lengths[0]
         across = (first[:, None] % columns - second[None, :] % columns) / lengths[1]

@@ -1,4 +1,4 @@
-"""Drawings of the report page: SVG made of text, coloured by the page's style."""
+"""Draws the figures of the report page as SVG text, coloured by the page's style sheet."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 34, 6, 6, 20
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line of a panel: heights at the places of all lines, and a band about it."""
+    """A line of a panel: its heights at the common places, and a band around it."""
 
     name: str
     heights: Values
@@ -29,12 +29,12 @@ class Line:
 
 
 def panels(lines: Sequence[Line], places: Values, ticks: Mapping[str, float], about: str, identity: str) -> str:
-    """A panel for each line, with the others behind it in grey; floor and ceiling are dashed. Ceilings far above the others are left out.
+    """Draws a panel for each line, with the other lines in grey. Floor and ceiling are dashed. A ceiling far above all lines is left out.
 
     Args:
-        places: of the heights, from 0 to 1.
-        ticks: of the axis below.
-        identity: differs from those of other drawings on the page.
+        places: horizontal places of the heights, from 0 to 1.
+        ticks: labels of the horizontal axis, and their places.
+        identity: an identifier that is unique on the page.
     """
     top = _top(lines)
     lines = [line for line in lines if line.role != "ceiling" or float(np.nanmax(line.heights)) <= top]
@@ -60,7 +60,7 @@ def panels(lines: Sequence[Line], places: Values, ticks: Mapping[str, float], ab
 
 
 def coverage(grid: tuple[int, int], visits: Values, name: str) -> str:
-    """A map of tiles, darker where more episodes looked.
+    """Draws a map of tiles. A darker tile was acquired in more episodes.
 
     Args:
         visits: share of the episodes that acquired each tile, (rows, columns).
@@ -81,11 +81,11 @@ def _kind(line: Line) -> str:
 
 
 def _top(lines: Sequence[Line]) -> float:
-    """A round height that all lines fit below, but for ceilings far above the others."""
+    """Returns a round height above all lines, except ceilings far above the others."""
     inside = [line for line in lines if line.role != "ceiling"]
     most = max((float(np.nanmax(line.heights if line.high is None else line.high)) for line in inside), default=0.0)
     highest = max(float(np.nanmax(line.heights)) for line in lines)
-    # A ceiling far above would press the others flat.
+    # With a ceiling far above in the panel, the other lines would look flat.
     most = highest if highest <= _MOST_ABOVE * most or most <= 0 else most
     if most <= 0:
         return 1.0

@@ -1,4 +1,4 @@
-"""A language model behind an OpenAI-compatible address, over the standard library."""
+"""Asks a language model behind an OpenAI-compatible address, with the standard library alone."""
 
 from __future__ import annotations
 
@@ -21,41 +21,41 @@ __all__ = ["Endpoint", "EndpointError", "Unparsable"]
 
 _Read = TypeVar("_Read")
 
-#: Answers of servers that another try may mend.
+#: HTTP statuses after which another try may succeed.
 _PASSING = {408, 409, 425, 429, 500, 502, 503, 504, 529}
-#: What reading a reply raises, whatever it holds: wrong types, numbers out of all limits, nesting without end.
+#: Errors that reading a reply may raise: wrong types, numbers out of range, unlimited nesting.
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
-#: Braces of a reply that are tried as the beginning of an object, at most: so that reading takes time in proportion to its length.
+#: Most braces of a reply that are tried as the beginning of an object. The limit keeps the reading time proportional to the length.
 _MOST_BRACES = 100
-#: Characters of a stranger's words that messages repeat.
+#: Most characters of a service's text that a message quotes.
 _LONGEST_WORDS = 300
 
 
 class EndpointError(StemworldsError):
-    """The service cannot be used: address, key or model are wrong, or it has never answered."""
+    """Raised if the service cannot be used: address, key or model are wrong, or it has never answered."""
 
 
 class Unparsable(StemworldsError):
-    """No reply could be read, after all tries."""
+    """Raised if no reply could be read after all tries."""
 
 
 @dataclass
 class Endpoint:
     """An OpenAI-compatible service of chat completions.
 
-    Redirects are not followed, so the key goes to no other address. Replies have 1 MB at most.
+    Redirects are not followed, so the key is sent to no other address. Replies longer than 1 MB are refused.
 
     Args:
         url: the part before ``/chat/completions``: ``"https://openrouter.ai/api/v1"``.
-        model: its name there.
-        key_variable: the environment variable that holds the key; without it no key is sent.
-        temperature, max_tokens: of each request.
+        model: name of the model at the service.
+        key_variable: the environment variable with the key; if it is not set, no key is sent.
+        temperature, max_tokens: sampling temperature and longest reply of each request.
         retries: further tries after a failure or a reply that cannot be read.
-        timeout_s: of one request, from the connection to the last byte of the reply.
-        pause_s: before the first retry; each later one waits twice as long.
+        timeout_s: seconds for one request, from the connection to the last byte of the reply.
+        pause_s: seconds before the first retry; the pause doubles with each retry.
 
     Attributes:
-        calls, retried, failed: requests asked for, further tries, and requests that no try could mend.
+        calls, retried, failed: numbers of requests, of retries, and of requests that failed in all tries.
     """
 
     url: str
@@ -82,10 +82,10 @@ class Endpoint:
             raise _invalid("retries, timeout_s, pause_s or max_tokens", "a number of the endpoint is out of its limits")
 
     def ask(self, instructions: str, question: str, *, png: bytes | None = None, read: Callable[[str], _Read]) -> _Read:
-        """Asks, and reads the reply by ``read``, which raises :class:`ValueError` for one that it cannot read.
+        """Sends a question, and reads the reply with ``read``, which raises :class:`ValueError` for a reply that it cannot read.
 
         Raises:
-            Unparsable: after all tries.
+            Unparsable: if no reply could be read after all tries.
             EndpointError: if the service refuses the request (wrong key, unknown model), or has never answered at all.
         """
         body = json.dumps(self._body(instructions, question, png)).encode()
@@ -140,12 +140,12 @@ class Endpoint:
 
 
 def json_of(reply: str) -> dict[str, Any]:
-    """The last whole JSON object in a reply, with or without a fence about it.
+    """Returns the last complete JSON object in a reply, inside or outside of a Markdown code fence.
 
     Raises:
-        ValueError: if there is none.
+        ValueError: if the reply contains no object.
     """
-    # Every second part lies between two fences.
+    # The parts with odd indices lie between two fences.
     fenced = [part.removeprefix("json") for part in reply.split("```")[1:-1:2]]
     decoder = json.JSONDecoder()
     tries = _MOST_BRACES

@@ -1,4 +1,4 @@
-"""The environment: act in a world under a dose budget."""
+"""The Gymnasium environment: an agent controls a microscope under a dose budget."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Observation = dict[str, npt.NDArray[Any]]
 Action = Mapping[str, Any]
 Step = tuple[Observation, float, bool, bool, dict[str, Any]]
 
-#: Longest report that the action space holds. Longer ones are read too.
+#: Longest report in the action space, in characters. :meth:`MicroscopeEnv.step` reads longer reports too.
 REPORT_CHARACTERS = 4096
 _LARGEST_PIXEL_NM = 1e3
 _REPORT_ALPHABET = frozenset(' "+,-.0123456789:[]_abcdefghijklmnopqrstuvwxyz{}')
 
 
 def observation_space(field: FieldFacts) -> spaces.Dict:
-    """The space of observations of a field."""
+    """Returns the space of observations of a field."""
 
     def box(low: float, high: float, *shape: int) -> spaces.Box:
         return spaces.Box(low, high, shape, np.float32)
@@ -48,7 +48,7 @@ def observation_space(field: FieldFacts) -> spaces.Dict:
 
 
 def action_space() -> spaces.Dict:
-    """The space of actions."""
+    """Returns the space of actions."""
     return spaces.Dict(
         {
             "type": spaces.Discrete(4),
@@ -61,7 +61,7 @@ def action_space() -> spaces.Dict:
 
 
 def fill(moves: Moves, slot: int, action: Action) -> None:
-    """Puts an action of an environment where it belongs. What it lacks takes its default."""
+    """Writes the action of one environment into ``moves``. Missing keys take their defaults."""
     moves.kinds[slot] = kinds([type_of(action)])[0]
     x, y = np.asarray(action.get("position", (0.5, 0.5)), dtype=np.float64).reshape(2)
     moves.positions[slot] = (float(x), float(y))
@@ -73,31 +73,35 @@ def fill(moves: Moves, slot: int, action: Action) -> None:
 class MicroscopeEnv(gym.Env[Observation, Action]):
     """A scanning microscope with a specimen and a dose budget.
 
-    An action has a ``type``: 0 goes to ``position`` (x, y in fractions of the field), 1 acquires there with ``zoom`` and ``dose``, 2
-    declares ``report`` (JSON, see :class:`Findings`), 3 ends the episode. Only acquisitions cost: 100 * dose * zoom**2 electrons per
-    square Angstrom. ``zoom`` and ``dose`` beyond the limits of the action space are moved to these. One that does not fit the budget is refused and ends the episode. Scores are recorded after every fifth acquired
-    tile, with what was declared last before the next one, from the first declaration on.
+    An action has a ``type``: 0 moves to ``position`` (x, y in fractions of the field), 1 acquires a tile there with ``zoom`` and ``dose``,
+    2 declares ``report`` (JSON, see :class:`Findings`), 3 ends the episode. Only an acquisition costs dose: 100 * dose * zoom**2 electrons
+    per square Angstrom. ``zoom`` and ``dose`` outside of the action space are set to its limits. An acquisition that does not fit the
+    budget is refused and ends the episode.
 
-    Environments can be pickled and copied (:func:`copy.deepcopy`). A copy is in the same episode: what was done in it is done again, which takes
-    about as long as the first time.
+    A score is recorded after every ``cadence`` acquired tiles, once there is a declaration. It uses the last declaration before the next
+    acquisition.
+
+    Environments can be pickled and copied (:func:`copy.deepcopy`). The copy is in the same state of the same episode. It repeats all
+    actions of the episode, which costs about the time of the original.
 
     Args:
-        task: what is asked for.
-        strict: places have to be right to 0.1 nm, not to the paper's 5 nm.
-        world: a world file; or
-        recipe: a recipe, of which each reset makes another specimen; with ``difficulty``, ``set``, ``unset``, ``grid``, ``seed``.
-        damage: acquisitions change the specimen, as the table ``[damage]`` of the recipe says.
-        split: of recipes: ``"train"`` (default) or ``"test"``: seeds of specimens that have none in common.
-        budget: electrons per square Angstrom.
-        horizon: number of steps; ``max_episode_steps`` of :func:`gymnasium.make` does the same.
-        cadence: acquired tiles from one record of the score to the next.
-        exposure: ``"tier"``: a pixel gets the dose of the world's tier times the multiplier; ``"physical"``: the dose that is paid for.
-        noise: ``"poisson"`` counts electrons; ``"stored"`` shows the tiles of the file, and is what recorded data take.
-        reward: ``"none"``; ``"score_gain"`` pays changes of the score, ``"sparse"`` the final score.
-        target: the type of defect that targeted characterisation asks for, ``"vacancy"`` or ``"substitution"``; the world's commonest by default.
-        overview: show the overview. Of a recipe it is made where one looks, which takes about as long as two or three tiles.
-        phase_stride_px: phases are compared at every so many pixels.
-        cache, threads, progress: as for :func:`stemworlds.build`; the first environment of a recipe fills its library, which takes minutes.
+        task: name of the task.
+        strict: use the strict form of the task. Places have to be correct to 0.1 nm, not to the paper's 5 nm.
+        world: a world file. Pass either ``world`` or ``recipe``.
+        recipe: a recipe. Each reset makes a new specimen. Accepts ``difficulty``, ``set``, ``unset``, ``grid`` and ``seed`` as well.
+        damage: acquisitions change the specimen, as the table ``[damage]`` of the recipe specifies.
+        split: ``"train"`` (default) or ``"test"``, for recipes. The two splits have no specimen seed in common.
+        budget: dose budget in electrons per square Angstrom.
+        horizon: largest number of steps. ``max_episode_steps`` of :func:`gymnasium.make` has the same effect.
+        cadence: number of acquired tiles from one recorded score to the next.
+        exposure: ``"tier"``: a pixel gets the dose of the world's tier times the action's ``dose``; ``"physical"``: it gets the dose that
+            the budget pays.
+        noise: ``"poisson"`` counts electrons; ``"stored"`` shows the tiles of the file. Recorded data use ``"stored"``.
+        reward: ``"none"``; ``"score_gain"``, the changes of the score; or ``"sparse"``, the final score.
+        target: the type of defect for targeted characterisation, ``"vacancy"`` or ``"substitution"``; by default the world's commonest.
+        overview: show the overview. For a recipe it is simulated around the position, at the cost of two or three tiles.
+        phase_stride_px: distance, in pixels, of the points at which phases are compared.
+        cache, threads, progress: see :func:`stemworlds.build`. The first environment of a recipe computes its library, which takes minutes.
         render_mode: ``"rgb_array"`` or ``"ansi"``.
     """
 
@@ -111,7 +115,7 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
     def __init__(self, task: Task = "defect-census", strict: bool = False, *, render_mode: str | None = None, **options: Any) -> None:
         self._made_of: dict[str, Any] = {"task": task, "strict": strict, **options}
         self._episodes = Episodes(1, **self._made_of)
-        #: What was done since the last reset, with it.
+        #: All steps from the last reset on, including the reset.
         self._done: list[Moves] = []
         self.render_mode = render_mode
         self.observation_space = cast("spaces.Space[Observation]", observation_space(self.field))
@@ -122,13 +126,13 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         self._last: Findings | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """What pickle and :func:`copy.deepcopy` take: options, and what was done in the episode."""
+        """Returns the state for pickle and :func:`copy.deepcopy`: the options, and the actions of the episode."""
         state = dict(vars(self))
         del state["_episodes"]
         return state
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
-        """Makes the environment again, and does again what was done."""
+        """Restores the environment, and repeats the actions of the episode."""
         vars(self).update(state)
         self._episodes = Episodes(1, **self._made_of)
         for moves in self._done:
@@ -136,25 +140,25 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
 
     @property
     def field(self) -> FieldFacts:
-        """What is known of the field before anything is looked at."""
+        """The facts of the field that are known before the first acquisition."""
         return self._episodes.field
 
     @property
     def recipe(self) -> Recipe | None:
-        """The recipe of the world, of a file that of its build; ``None`` of recorded data and files of other programs."""
+        """The recipe of the world, for a file the recipe of its build. ``None`` for recorded data and files of other programs."""
         return self._episodes.recipe
 
     def specimen(self) -> Recipe | None:
-        """The recipe with the seed of the specimen of this episode: the truth, for agents that mark the ceiling of others."""
+        """Returns the recipe with the seed of this episode's specimen. It reveals the truth, for agents that serve as ceilings."""
         return self._episodes.specimen(0)
 
     @property
     def episode_seed(self) -> tuple[int, int]:
-        """Seed, and number of the episode under it."""
+        """The seed, and the number of the episode since that seed was set."""
         return self._seed or 0, self._number
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Begins another episode. With a seed it is episode 0 of that seed; without, the next one."""
+        """Begins an episode: episode 0 of ``seed``, or the next episode of the current seed if ``seed`` is ``None``."""
         super().reset(seed=seed)
         self._limit()
         if seed is not None:
@@ -177,8 +181,13 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         return found
 
     def _limit(self) -> None:
-        """Takes the limit of a :class:`gymnasium.wrappers.TimeLimit` about this environment (``max_episode_steps`` makes one) for the horizon:
-        the step that it cuts the episode at is then the last one here too, and pays."""
+        """Uses the limit of a :class:`gymnasium.wrappers.TimeLimit` around this environment as its horizon.
+
+        ``max_episode_steps`` adds this wrapper. The last step before its limit is then the last step of the episode, and gives the reward.
+
+        Raises:
+            InvalidValue: if a wrapper in between makes several steps of each of its own, and the reward is ``"sparse"``.
+        """
         limiter = _caller(self)
         if limiter is None:
             return
@@ -198,7 +207,7 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         self._episodes = Episodes(1, **self._made_of)
 
     def step(self, action: Action) -> Step:
-        """Does one thing. See the class for actions."""
+        """Executes one action. The class describes the actions."""
         moves = Moves.none(1)
         fill(moves, 0, action)
         found = self._does(moves)
@@ -228,15 +237,15 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         return info
 
     def centre_of(self, row: int, column: int) -> tuple[float, float]:
-        """The middle ``(x, y)`` of a tile in fractions of the field."""
+        """Returns the centre ``(x, y)`` of a tile in fractions of the field."""
         return self.field.centre_of(row, column)
 
     def declare(self, findings: Findings) -> Step:
-        """A step that declares findings."""
+        """Declares findings, which is one step."""
         return self.step({"type": DECLARE, "report": findings})
 
     def acquire(self, row: int, column: int, zoom: float = 1.0, dose: float = 1.0) -> Step:
-        """Two steps: goes to a tile, and acquires it. Returns what the last one did; rewards are added."""
+        """Moves to a tile and acquires it, which are two steps. Returns the result of the last step, with the sum of the rewards."""
         went = self.step({"type": NAVIGATE, "position": self.centre_of(row, column)})
         if went[2] or went[3]:
             return went
@@ -244,26 +253,26 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         return seen, reward + went[1], terminated, truncated, info
 
     def truth_seen(self) -> Findings:
-        """The truth of what was seen: for agents that mark the ceiling of others. It knows phases where it has looked only."""
+        """Returns the truth of the acquired tiles, for agents that serve as ceilings. Phases outside of the tiles are unknown."""
         return self._episodes.truth_seen(0)
 
     def score(self) -> float:
-        """The score of what was declared last, against what was seen so far."""
+        """Returns the score of the last declaration, for the tiles acquired so far."""
         return self._episodes.score(0)
 
     def record(self) -> dict[str, Any]:
-        """What was done so far, and its scores: what results are made of."""
+        """Returns the record of the episode so far, with its scores. Files of results consist of these records."""
         return self._episodes.record(0)
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
-        """Which of the four types of actions are of use now."""
+        """Returns a mask of the four types of actions: whether each is possible now."""
         record = self._episodes.record(0)
         going = record["ended"] is None
         fits = record["spent"] + 100.0 * DOSE[0] <= self.field.budget * (1 + 1e-9)
         return np.array([going, going and fits, going, going])
 
     def render(self) -> Any:
-        """A picture (``rgb_array``) or a text (``ansi``) of overview, visited tiles, findings against the truth, and the dose curve."""
+        """Returns a picture (``rgb_array``) or a text (``ansi``) of overview, visited tiles, findings and truth, and dose curve."""
         scene = rendering.Scene(self._episodes, self._seen, self._last)
         if self.render_mode == "rgb_array":
             return rendering.picture(scene)
@@ -273,7 +282,10 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
 
 
 def _caller(env: gym.Env[Any, Any]) -> Any:
-    """The wrapper with a limit of steps that has called an environment, if one has: nothing else tells the environment of it."""
+    """Returns the wrapper with a limit of steps whose ``reset`` called the environment, or ``None``.
+
+    It searches the call stack, since an environment has no reference to its wrappers.
+    """
     frame = sys._getframe(1)
     while frame is not None:
         about = frame.f_locals.get("self") if frame.f_code.co_name == "reset" else None

@@ -1,4 +1,4 @@
-"""What one environment and many share: options, facts, and steps of the extension."""
+"""The common part of single and vector environments: options, facts, and steps of the extension."""
 
 from __future__ import annotations
 
@@ -30,44 +30,44 @@ Noise = Literal["poisson", "stored"]
 Reward = Literal["none", "score_gain", "sparse"]
 Split = Literal["train", "test"]
 
-#: Tasks whose truth is of columns.
+#: Tasks whose truth lists columns.
 COLUMN_TASKS = ("defect-census", "targeted")
 #: Tasks without a strict form.
 ONE_FORM = ("density-map", "rare")
-#: What of a report is known here alone.
+#: Keys of a report that only Python reads.
 _OWN_KEYS = ("forecasts", "density", "rare")
 #: Kinds of actions.
 NAVIGATE, ACQUIRE, DECLARE, DONE = range(4)
-#: The same in words.
+#: Description of the kinds for messages.
 KINDS = "0 goes to a place, 1 acquires, 2 declares, 3 ends the episode"
 #: Limits of the zoom of an acquisition.
 ZOOM = (1.0, 8.0)
-#: Limits of its dose, times the reference dose of 100 electrons per square Angstrom.
+#: Limits of the dose of an acquisition, in units of the reference dose of 100 electrons per square Angstrom.
 DOSE = (0.1, 10.0)
-#: Pixels of the field to one of the overview.
+#: Edge of an overview pixel, in pixels of the field.
 OVERVIEW_FACTOR = 8
-#: Edge of the part of the overview that is shown, in its pixels.
+#: Edge of the shown part of the overview, in overview pixels.
 OVERVIEW_PX = 64
 
 
 @dataclass(frozen=True)
 class FieldFacts:
-    """What is known of a field before anything is looked at.
+    """Facts of a field that are known before the first acquisition.
 
     Attributes:
-        name: of the world.
-        material: of the recipe.
+        name: name of the world.
+        material: material of the recipe.
         grid: rows and columns of tiles.
         tile_px: edge of a tile in pixels.
         overlap_px: pixels that neighbouring tiles share.
         pixel_nm: edge of a pixel.
         size_nm: height and width.
-        phases: names of the phases; empty where there is one.
-        task: what is asked for.
-        target: the type of defect that targeted characterisation asks for.
-        strict: whether places have to be right to 0.1 nm.
-        budget: electrons per square Angstrom.
-        horizon: number of steps.
+        phases: names of the phases; empty if there is one phase.
+        task: name of the task.
+        target: the type of defect for targeted characterisation; ``None`` for other tasks.
+        strict: whether places have to be correct to 0.1 nm.
+        budget: dose budget in electrons per square Angstrom.
+        horizon: largest number of steps.
     """
 
     name: str
@@ -87,7 +87,7 @@ class FieldFacts:
     offset: float
 
     def centre_of(self, row: int, column: int) -> tuple[float, float]:
-        """The middle ``(x, y)`` of a tile in fractions of the field's width and height."""
+        """Returns the centre ``(x, y)`` of a tile in fractions of the field's width and height."""
         stride = self.tile_px - self.overlap_px
         rows, columns = (n * stride + self.overlap_px for n in self.grid)
         return (column * stride + self.tile_px / 2) / columns, (row * stride + self.tile_px / 2) / rows
@@ -98,16 +98,16 @@ class Acquired:
     """An acquisition.
 
     Attributes:
-        row, column: of the tile whose middle is nearest.
-        centre_nm: its middle ``(x, y)`` in the field.
-        size_nm: its edge.
-        pixel_nm: edge of one of its pixels.
-        zoom: it shows 1 / zoom of a tile's width.
-        dose: times the reference dose.
-        cost: what it took of the budget, in electrons per square Angstrom.
-        electrons_per_pixel: electrons on a pixel.
+        row, column: row and column of the tile with the nearest centre.
+        centre_nm: centre ``(x, y)`` of the acquisition in the field.
+        size_nm: edge of the acquired square.
+        pixel_nm: edge of a pixel.
+        zoom: magnification; the edge of the square is a tile's edge divided by ``zoom``.
+        dose: dose in units of the reference dose.
+        cost: dose taken from the budget, in electrons per square Angstrom.
+        electrons_per_pixel: incident electrons on a pixel.
         scale, offset: fraction of the beam = image * scale + offset.
-        image: float32 ``[y, x]``, what the observation shows as ``tile``.
+        image: float32 ``[y, x]``, the array ``tile`` of the observation.
     """
 
     row: int
@@ -133,19 +133,24 @@ class Acquired:
 
 
 def type_of(action: Any) -> Any:
-    """The type of an action, or those of many."""
+    """Returns the type of an action; for many actions, an array of types."""
     if not isinstance(action, Mapping) or "type" not in action:
         raise _invalid("action", f"action {action!r}: expected a dict with the key type: {KINDS}")
     return action["type"]
 
 
 def reported(report: Any) -> str:
-    """What an action declares, as the extension reads it."""
+    """Returns the report of an action in the extension's form."""
     return report.report() if isinstance(report, Findings) else str(report) or "{}"
 
 
 def _apart(report: str | None, columns: bool) -> tuple[str | None, Findings, str | None]:
-    """A report as the extension reads it; what it holds that only Python knows, and the columns where asked for; and what is wrong with it."""
+    """Splits a report.
+
+    Returns:
+        The report for the extension; the findings that only Python scores, with the columns if ``columns`` is true; and the fault of an
+        unreadable report, or ``None``.
+    """
     keys = (*_OWN_KEYS, "columns") if columns else _OWN_KEYS
     if report is None or not any(f'"{key}"' in report for key in keys):
         return report, Findings(), None
@@ -153,14 +158,14 @@ def _apart(report: str | None, columns: bool) -> tuple[str | None, Findings, str
         found = json.loads(report)
         known = Findings.read(json.dumps({key: found[key] for key in keys if key in found}))
     except (ValueError, TypeError, AttributeError, StemworldsError) as error:
-        # No report either, so the extension counts it as unreadable.
+        # This text is no valid report for the extension either, so it counts the report as unreadable.
         return '{"forecasts": []}', Findings(), f"findings: {error}"
     left = {key: value for key, value in found.items() if key not in _OWN_KEYS}
     return json.dumps(left, separators=(",", ":")), known, None
 
 
 def kinds(given: Sequence[Any]) -> list[int]:
-    """Types of actions, as integers."""
+    """Checks the types of actions. Returns them as integers."""
     for kind in given:
         if kind not in range(4):
             raise _invalid("action", f"type {kind!r}: {KINDS}")
@@ -169,7 +174,7 @@ def kinds(given: Sequence[Any]) -> list[int]:
 
 @dataclass
 class Moves:
-    """What each of some environments does next."""
+    """The next action of each environment."""
 
     begin: list[tuple[int, int] | None]
     kinds: list[int]
@@ -180,12 +185,12 @@ class Moves:
 
     @staticmethod
     def none(count: int) -> Moves:
-        """Ends all episodes, until something else is filled in."""
+        """Returns actions that end all episodes. The caller overwrites them."""
         return Moves([None] * count, [DONE] * count, [(0.5, 0.5)] * count, [1.0] * count, [1.0] * count, [None] * count)
 
 
 class Episodes:
-    """Episodes of one task in worlds of one kind; :class:`MicroscopeEnv` and :class:`MicroscopeVectorEnv` drive them."""
+    """Episodes of one task in worlds of one kind. :class:`MicroscopeEnv` and :class:`MicroscopeVectorEnv` use them."""
 
     def __init__(
         self,
@@ -278,7 +283,11 @@ class Episodes:
             self._check_field_task()
 
     def _check_field_task(self) -> None:
-        """Whether the whole field has a truth that can be laid out."""
+        """Checks that the truth of the whole field can be computed.
+
+        Raises:
+            InvalidValue: if the world has no recipe, or consists of particles.
+        """
         if self.recipe is None:
             raise _invalid("task", f"{self.field.task}: this world has no recipe, so what its whole field holds is not known")
         if self.recipe["structure"] == "particles":
@@ -286,17 +295,17 @@ class Episodes:
 
     @property
     def recipe(self) -> Recipe | None:
-        """The recipe, of a file that of its build; ``None`` of recorded data and files of other programs."""
+        """The recipe, for a file the recipe of its build. ``None`` for recorded data and files of other programs."""
         if self._recipe is None and self._world_file is not None:
             with World(self._world_file) as world, contextlib.suppress(StemworldsError):
                 self._recipe = world.recipe
         return self._recipe
 
     def specimen(self, slot: int) -> Recipe | None:
-        """The recipe with the seed of the specimen that an episode is in."""
+        """Returns the recipe with the seed of an episode's specimen."""
         if self._world_file is not None or self.recipe is None:
             return self.recipe
-        # Worlds of a recipe have the seed of their specimen in their name.
+        # The name of a world from a recipe ends in the seed of its specimen.
         return self.recipe.with_seed(int(self._record(slot)["world"].rpartition(", seed ")[2]))
 
     def _known_specimen(self, slot: int) -> Recipe:
@@ -305,7 +314,7 @@ class Episodes:
         return found
 
     def step(self, moves: Moves) -> dict[str, Any]:
-        """One step of all: arrays of observations and lists of what happened."""
+        """Executes one step of all environments. Returns arrays of observations, and lists of events."""
         texts, known, faults = zip(*(_apart(report, self.field.task in FIELD_TASKS) for report in moves.reports), strict=True)
         asked: Any = {**vars(moves), "reports": list(texts)}
         found: dict[str, Any] = self._used.by(call)(self._core.step, asked, running(self._threads, False))
@@ -321,7 +330,7 @@ class Episodes:
         return found
 
     def _keep(self, slot: int, kind: int, said: Findings, found: dict[str, Any]) -> None:
-        """Follows what a step was to the ledger of a slot, and pays for it where the ledger scores."""
+        """Enters a step into the ledger of a slot. If the ledger computes the score, sets the reward."""
         ledger = self._ledger(slot)
         if ledger is None:
             return
@@ -333,7 +342,7 @@ class Episodes:
             found["reward"][slot] = (ledger.share() if self._reward == "sparse" else ledger.gain()) if pays else 0.0
 
     def _ledger(self, slot: int) -> Ledger | None:
-        """That of the episode of a slot; ``None`` for tasks that the library scores, and worlds without a recipe."""
+        """Returns the ledger of a slot's episode. ``None`` for tasks that the library scores, and for worlds without a recipe."""
         if self.field.task not in (*COLUMN_TASKS, *FIELD_TASKS):
             return None
         if slot not in self._ledgers:
@@ -350,7 +359,7 @@ class Episodes:
         return ColumnLedger(**common, scored=self.field.strict, target=target)
 
     def record(self, slot: int) -> dict[str, Any]:
-        """The record of an episode so far."""
+        """Returns the record of an episode so far."""
         record = self._record(slot)
         ledger = self._ledger(slot)
         return record if ledger is None else ledger.told(record)
@@ -360,7 +369,7 @@ class Episodes:
         return found
 
     def score(self, slot: int) -> float:
-        """The score of what was declared last."""
+        """Returns the score of the last declaration."""
         ledger = self._ledger(slot)
         if ledger is not None and ledger.scored:
             return ledger.share()
@@ -368,31 +377,31 @@ class Episodes:
         return score
 
     def truth_seen(self, slot: int) -> Findings:
-        """The truth of what was seen."""
+        """Returns the truth of the acquired tiles."""
         truth = Findings.read(self._used.by(call)(self._core.truth_seen, slot, running(self._threads, False)))
         ledger = self._ledger(slot)
         return truth if ledger is None else ledger.truth(truth)
 
     def overview(self, slot: int, size: int) -> npt.NDArray[np.float32]:
-        """The overview, or the middle of it: ``size`` pixels along each axis."""
+        """Returns the overview, or its central part: ``size`` pixels along each axis."""
         image: npt.NDArray[np.float32] = self._used.by(call)(self._core.overview, slot, size, running(self._threads, False))
         return image
 
     def whole_overview(self) -> npt.NDArray[np.float32] | None:
-        """The overview of a whole file; ``None`` of a recipe, of which it would have to be simulated."""
+        """Returns the overview of a whole file; ``None`` for a recipe, since it would have to be simulated."""
         if self._of_file and self._whole is None:
             rows, columns = (int(n / self.field.pixel_nm + 0.5) // OVERVIEW_FACTOR for n in self.field.size_nm)
             self._whole = self.overview(0, max(rows, columns))[:rows, :columns]
         return self._whole
 
     def acquired(self, what: Mapping[str, Any], image: npt.NDArray[np.float32]) -> Acquired:
-        """An acquisition as agents are told of it."""
+        """Returns an acquisition in the form for agents."""
         pixel = what["size_nm"] / self.field.tile_px
         return Acquired(**what, pixel_nm=pixel, scale=self.field.scale, offset=self.field.offset, image=image.copy())
 
 
 def observation(found: Mapping[str, Any], slot: int, pixel_nm: float) -> dict[str, npt.NDArray[Any]]:
-    """The observation of one environment, in arrays of its own."""
+    """Returns the observation of one environment, in copies of the arrays."""
     names: Sequence[str] = ("tile", "overview", "position", "dose_left", "visited", "step_fraction", "action_mask")
     seen = {name: found[name][slot].copy() for name in names}
     seen["pixel_size_nm"] = np.array([pixel_nm], dtype=np.float32)

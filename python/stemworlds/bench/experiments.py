@@ -1,4 +1,4 @@
-"""Experiments: which agents play which tasks in which worlds, read from TOML."""
+"""Reads experiments from TOML files: agents, tasks and worlds."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from .field_truth import FIELD_TASKS
 
 __all__ = ["Episode", "Experiment", "packaged_experiments", "read_experiment"]
 
-#: Tasks by the names that experiments use, and those of their environments.
+#: Names of the tasks in experiments, and the names of their environments.
 TASKS = {str(task): name for name, task in registration.TASKS.items()}
-#: Those of an experiment or world that names none: the paper's.
+#: Tasks of an experiment or world that names none: the tasks of the STEMGym paper.
 _USUAL_TASKS = [task for task in TASKS if task not in FIELD_TASKS]
 _KEYS = {"name", "about", "tasks", "strict", "seeds", "budgets", "agents", "worlds", "environment"}
 _WORLD_KEYS = {"name", "file", "recipe", "difficulty", "grid", "set", "live", "split", "tasks"}
-#: Where agents name files of networks.
+#: Keys of agents that name files of networks.
 _NETWORKS = (("analyst", "models"), ("policy", "model"))
 #: Options of the environment that change no result.
 OF_THE_MACHINE = {"cache", "threads"}
 _OPTIONS = {"horizon", "cadence", "exposure", "noise", "damage", "target", "cache", "threads", "reward"}
-#: Steps that an acquisition takes at most, with its navigation and declaration.
+#: Most steps that an acquisition needs, with its navigation and declaration.
 _STEPS_A_TILE = 4
 _REFERENCE_DOSE = 100.0
-#: Most seeds, and most episodes: years of computing, and still few enough to be listed.
+#: Most seeds, and most episodes. Such experiments take years, but their lists fit into memory.
 _MOST_SEEDS, _MOST_EPISODES = 100_000, 1_000_000
 
 
@@ -49,10 +49,10 @@ class Episode:
     """One combination of an experiment.
 
     Attributes:
-        agent: its table, see :func:`agent_specification`.
-        task: name as in :data:`TASKS`, with ``-strict`` behind it for the strict forms.
-        world: its table.
-        seed, budget: of the episode; the budget in electrons per square Angstrom.
+        agent: table of the agent, see :func:`agent_specification`.
+        task: a name of :data:`TASKS`, with the suffix ``-strict`` for a strict form.
+        world: table of the world.
+        seed, budget: seed of the episode, and its budget in electrons per square Angstrom.
         environment: further keywords of the environment.
     """
 
@@ -65,14 +65,14 @@ class Episode:
 
     @property
     def key(self) -> str:
-        """Names the combination in files of results: 16 digits made of all of it."""
+        """Returns the key of the combination in files of results: 16 digits of a hash of all its values."""
         options = {key: value for key, value in self.environment.items() if key not in OF_THE_MACHINE}
         parts = [_agent_essence(self.agent), self.task, _essence(self.world), self.seed, float(self.budget), options]
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
     @property
     def specimen(self) -> str:
-        """Names the specimen: episodes that have one in common may share its images."""
+        """Returns a name of the specimen. Episodes with equal names may share its images."""
         return json.dumps([self.world, self.seed], sort_keys=True, default=str)
 
     @property
@@ -82,10 +82,10 @@ class Episode:
 
     @property
     def environment_options(self) -> dict[str, Any]:
-        """Keywords of :func:`gymnasium.make`."""
+        """Returns the keywords of :func:`gymnasium.make`."""
         given = {key: value for key, value in self.world.items() if key not in ("name", "file", "tasks")}
         if "file" in self.world:
-            # A file is as it is; its difficulty is a label for the report.
+            # A file cannot change its difficulty, which is only a label in the report.
             given = {"world": self.world["file"]}
         if "grid" in given:
             given["grid"] = tuple(given["grid"])
@@ -95,7 +95,7 @@ class Episode:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What :func:`read_experiment` reads; iterating gives its episodes, those of a world and in it those of a seed one after the other."""
+    """An experiment, read by :func:`read_experiment`. Iteration yields its episodes, grouped by world, and by seed within a world."""
 
     name: str
     about: str
@@ -107,7 +107,7 @@ class Experiment:
     environment: Mapping[str, Any]
 
     def with_agents(self, agents: Iterable[Any]) -> Experiment:
-        """The same with these agents after its own: names, tables, or objects with a name and a method ``run``, as :class:`Agent`."""
+        """Returns a copy with further agents: names, tables, or objects with a name and a method ``run``, for example an :class:`Agent`."""
         every = (*self.agents, *(agent_specification(agent) for agent in agents))
         _apart("agent", [agent["name"] for agent in every])
         return dataclasses.replace(self, agents=every)
@@ -120,7 +120,7 @@ class Experiment:
 
 
 def packaged_experiments() -> dict[str, str]:
-    """Names of the experiments that come with the package, and what each is for."""
+    """Returns the names of the experiments in the package, and the purpose of each."""
     return {name: read_experiment(name).about for name in _packaged()}
 
 
@@ -131,11 +131,12 @@ def _packaged() -> dict[str, str]:
 
 
 def read_experiment(source: str | os.PathLike[str]) -> Experiment:
-    """Reads the TOML file of an experiment, or one that comes with the package by its name. Worlds lie relative to the file.
+    """Reads the TOML file of an experiment, or an experiment of the package by its name. Paths of worlds are relative to the file.
 
     Raises:
         FileMissing: if there is neither a file nor an experiment of that name.
-        FormatError: if it is no TOML.
+        FileError: if the file cannot be read.
+        FormatError: if the file is no TOML.
         InvalidValue: for unknown keys, agents, tasks and worlds.
     """
     path = Path(source)
@@ -230,7 +231,7 @@ def _task(name: Any) -> str:
 
 
 def _seeds(given: Any) -> tuple[int, ...]:
-    """Seeds as a list, or their number from 0 on."""
+    """Checks the seeds: a list of seeds, or the number of seeds, which then begin at 0."""
     counted = isinstance(given, int) and not isinstance(given, bool)
     if counted and not 0 < given <= _MOST_SEEDS or isinstance(given, list) and len(given) > _MOST_SEEDS:
         raise _invalid("seeds", f"seeds = {reprlib.repr(given)}: expected 1 to {_MOST_SEEDS} of them")
@@ -249,7 +250,7 @@ def _budget(given: Any) -> float:
 
 
 def _world(given: Any, folder: Path) -> dict[str, Any]:
-    """A world as a table: the path of a file, or a table with ``file`` or ``recipe``."""
+    """Returns the complete, checked table of a world from the path of a file, or from a table with ``file`` or ``recipe``."""
     table = {"file": given} if isinstance(given, str) else given
     _known("worlds", table, _WORLD_KEYS)
     if ("file" in table) == ("recipe" in table):
@@ -283,7 +284,7 @@ def _world(given: Any, folder: Path) -> dict[str, Any]:
 
 
 def _is_file(path: Path) -> bool:
-    """Also of what is no name of a file at all."""
+    """Returns whether a path is a file. A text that is no valid path gives false, not an error."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -291,7 +292,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _located(agent: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """An agent whose networks lie relative to the file of the experiment."""
+    """Returns an agent with the paths of its networks made relative to the folder of the experiment."""
 
     def at(path: Any) -> Any:
         return [at(one) for one in path] if isinstance(path, list) else str(folder / str(path))
@@ -303,7 +304,7 @@ def _located(agent: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _agent_essence(agent: Mapping[str, Any]) -> dict[str, Any]:
-    """What makes an agent: of networks their contents, wherever they lie."""
+    """Returns the identity of an agent. It contains the contents of networks instead of their paths."""
     if "python" in agent or "pickle" in agent:
         return own_agents.essence(agent)
     kept = dict(agent)
@@ -315,7 +316,7 @@ def _agent_essence(agent: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _contents(path: str) -> str:
-    """Names what a file holds."""
+    """Returns a hash of the contents of a file."""
     try:
         about = os.stat(path)
     except OSError:
@@ -330,7 +331,7 @@ def _digest(path: str, _size: int, _changed_ns: int) -> str:
 
 
 def _essence(world: Mapping[str, Any]) -> dict[str, Any]:
-    """What makes a world: of a file its name and size, of a recipe of one's own its text, wherever they lie."""
+    """Returns the identity of a world. It contains the name and size of a world file, or a hash of a recipe file, without their folders."""
     kept = {key: value for key, value in world.items() if key != "tasks"}
     if "file" in world:
         path = Path(world["file"])

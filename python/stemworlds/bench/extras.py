@@ -1,4 +1,4 @@
-"""Packages that are imported when they are used: the extras of the package."""
+"""Imports optional packages at their first use."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import StemworldsError
 
-#: Of the packages that the agents use: the extra that brings them.
+#: The extra of this package that installs each optional package.
 _EXTRAS = {
     "scipy": "agents",
     "sklearn": "agents",
@@ -20,7 +20,7 @@ _EXTRAS = {
 
 
 def needed(module: str) -> Any:
-    """Imports a module of an optional package, or says how to get it."""
+    """Imports a module of an optional package. If it is missing, the error names the command that installs it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Episodes of the tasks that ask for the field."""
+"""Scores episodes of the tasks about the whole field."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from .ledger import Ledger
 
 @dataclass(eq=False, kw_only=True)
 class FieldLedger(Ledger):
-    """What one episode has seen of a field, and what was last declared of it.
+    """Records the seen part of a field in one episode, and the last declaration.
 
     Attributes:
         task: ``"field-recall"``, ``"density-map"`` or ``"rare"``.
-        strict: recall of the columns that were named, not of what was looked at.
+        strict: for ``"field-recall"``, score the columns that the agent named instead of the seen ones.
     """
 
     task: str
@@ -28,12 +28,12 @@ class FieldLedger(Ledger):
     _looked: int = 0
     _truth: FieldTruth | None = None
     _constant: float = 0.0
-    #: Columns, and tiles, that lie in an acquisition.
+    #: Masks of the columns, and of the tiles, that an acquisition shows.
     _columns_seen: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
     _tiles_seen: Mask = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
 
     def share(self) -> float:
-        """The score of what was declared last; 0 before the first declaration, and where nothing was looked at."""
+        """Returns the score of the last declaration; 0 before the first declaration, and before the first acquisition."""
         if self.findings is None or not self._views:
             return 0.0
         truth = self._follow()
@@ -48,11 +48,11 @@ class FieldLedger(Ledger):
         return self._recall(truth)
 
     def _recall(self, truth: FieldTruth) -> float:
-        """Share of all defects of the field that were looked at; 1 where there is none."""
+        """Returns the share of the field's defects that acquisitions show; 1 if the field has no defect."""
         return float(truth.numbers[self._columns_seen].sum()) / truth.total if truth.total else 1.0
 
     def _follow(self) -> FieldTruth:
-        """The truth; what was seen since the last call is marked."""
+        """Marks the columns and tiles seen since the last call. Returns the truth."""
         if self._truth is None:
             specimen = self.specimen()
             self._truth = field_truth(specimen.toml)
@@ -67,7 +67,7 @@ class FieldLedger(Ledger):
         return self._truth
 
     def truth(self, seen: Findings) -> Findings:
-        """The whole map, the columns with most defects among those seen, and the rare tiles that were seen."""
+        """Adds the true map of the field, the seen columns with most defects, and the seen rare tiles to ``seen``."""
         truth = self._follow()
         own = np.flatnonzero(self._columns_seen)
         best = own[np.argsort(-truth.numbers[own], kind="stable")[:BEST_COLUMNS]]
@@ -81,7 +81,7 @@ class FieldLedger(Ledger):
         )
 
     def numbers(self) -> dict[str, float]:
-        """All numbers of what was declared last, whatever the task."""
+        """Returns all numbers about the last declaration. They do not depend on the task."""
         if self.findings is None or not self._views:
             return {}
         truth = self._follow()
@@ -106,6 +106,7 @@ class FieldLedger(Ledger):
         }
 
     def told(self, record: dict[str, Any]) -> dict[str, Any]:
-        """The record of the episode; the library's own scores are those of another task."""
+        """Returns the record of the episode with the scores of this task. The library's scores are removed, since they belong to the defect
+        census."""
         scores = None if record.get("scores") is None else {"paper": None, "close": None, "strict": None, "columns": None, "field": self.numbers()}
         return {**record, "scores": scores, **self.own_curve()}

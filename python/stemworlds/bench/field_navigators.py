@@ -1,4 +1,4 @@
-"""Navigators of the tasks that ask for the field: by the analyst's counts, by what is usual, and by the truth."""
+"""Navigators for the tasks about the whole field: by the analyst's counts, by the usual map, and by the truth."""
 
 from __future__ import annotations
 
@@ -23,16 +23,19 @@ Values = npt.NDArray[np.float64]
 
 
 class ByCounts:
-    """A Gaussian process over the analyst's counts of defects, with their errors as noise: looks where mean + ``beta`` deviations is greatest.
+    """Fits a Gaussian process to the analyst's counts of defects, with their errors as noise. Chooses the greatest mean + ``beta``
+    deviations.
 
-    The analyst has a method ``tile_counts(tiles)``, which gives for each tile the number of defects that it found and the standard deviation of
-    that number, (N, 2); NaN where it does not know its error.
+    The analyst needs a method ``tile_counts(tiles)``. It returns the number of defects found in each tile and the standard deviation of
+    that number, (N, 2); NaN for an unknown error.
 
     Args:
-        beta: deviations; 0 looks where most is expected, a large number where least is known. That of a planner comes first.
-        usual: what is expected before the first look: ``"prior"`` is the map of the recipe's usual specimens, ``"flat"`` the same everywhere.
-        initial: tiles drawn at random at first.
-        refit: the process is fitted again after that many tiles.
+        beta: number of deviations. 0 chooses the greatest expected number, a large value the greatest uncertainty. A planner's ``beta``
+            takes precedence.
+        usual: the expected map before the first acquisition: ``"prior"``, the map of the recipe's usual specimens, or ``"flat"``, a
+            constant.
+        initial: number of random tiles at the start.
+        refit: number of tiles from one fit of the process to the next.
     """
 
     def __init__(self, beta: float = 1.0, *, usual: Literal["prior", "flat"] = "prior", initial: int = 4, refit: int = 3) -> None:
@@ -49,7 +52,7 @@ class ByCounts:
         self._world: Any = None
 
     def attach(self, world: Any) -> None:
-        """Takes the environment that is played; only its recipe is used."""
+        """Stores the environment of the episode. Only its recipe is used."""
         self._world = world
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
@@ -80,10 +83,10 @@ class ByCounts:
 
 
 class ByPrior:
-    """Looks where specimens of the recipe usually hold most defects, and reads no pixel."""
+    """Chooses the tiles in which specimens of the recipe usually have most defects. It reads no pixel."""
 
     def attach(self, world: Any) -> None:
-        """Takes the environment that is played; only its recipe is used."""
+        """Stores the environment of the episode. Only its recipe is used."""
         self._world = world
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
@@ -96,14 +99,14 @@ class ByPrior:
 
 
 class ByTruth:
-    """Looks at the tiles that hold most defects, the most first: the ceiling of every navigator."""
+    """Chooses the tiles with most defects first. Its score is the ceiling of every navigator."""
 
     def attach(self, world: Any) -> None:
-        """Takes the environment that is played."""
+        """Stores the environment of the episode."""
         self._world = world
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
-        # Also names a world without a recipe as one.
+        # Raises an error with a clear message for a world without a recipe.
         recipe_of(self._world)
         self._counts, self._random = field_truth(self._world.specimen().toml).counts.ravel(), random
 
@@ -113,12 +116,12 @@ class ByTruth:
 
 
 def _free(seen: Seen) -> npt.NDArray[np.intp]:
-    """Tiles that were not visited."""
+    """Returns the indices of the tiles that were not acquired."""
     return np.flatnonzero(~seen.visited().ravel())
 
 
 def _best(values: Values, free: npt.NDArray[np.intp], random: np.random.Generator) -> int:
-    """A free tile with the greatest value; of several that are as good, any."""
+    """Returns a free tile with the greatest value, a random one of several equal ones."""
     own = values[free]
     best = free[own >= own.max() - 1e-9 * max(abs(float(own.max())), 1.0)]
     return int(random.choice(best))

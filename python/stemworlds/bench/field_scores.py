@@ -1,4 +1,4 @@
-"""Scores of the tasks that ask for the field: what was found of all that it holds, and what is said of tiles that nobody looked at."""
+"""Scores the tasks about the whole field: the share of its defects that was found, and the prediction for tiles that were not acquired."""
 
 from __future__ import annotations
 
@@ -10,17 +10,21 @@ import numpy.typing as npt
 from .field_truth import FieldTruth, Mask, Values
 from .forecasts import RADIUS_NM, nearest_columns
 
-#: Columns that count in the strict form of recall: the likeliest that an agent names.
+#: Number of columns that count in the strict form of recall. The agent's likeliest columns are used.
 BEST_COLUMNS = 100
-#: A map that says fewer defects than this share of the constant rate says this share, so that no cell costs infinitely much.
+#: Smaller values of a map are raised to this share of the constant rate, so that no cell costs infinitely many bits.
 LEAST_RATE = 0.01
 
 
 def named_columns(truth: FieldTruth, columns: npt.ArrayLike) -> tuple[int, int, int]:
-    """Of the likeliest columns that were named, at most :data:`BEST_COLUMNS`: how many hold a defect, how many defects they hold together, and how
-    many defects the best as many columns of the field hold.
+    """Scores the named columns that the agent considers likeliest, at most :data:`BEST_COLUMNS`.
 
-    A name (x, y, and a number that is greater where more defects are likely) is that of the nearest column within 0.1 nm, each once.
+    An entry has x and y in nm, and a number that increases with the expected number of defects. It names the nearest column within 0.1 nm.
+    Each column counts once.
+
+    Returns:
+        The number of these columns with a defect; their number of defects; and the number of defects in the best columns of the field, as
+        many as count at most.
     """
     most = min(BEST_COLUMNS, len(truth.numbers))
     best = int(np.partition(truth.numbers, len(truth.numbers) - most)[len(truth.numbers) - most :].sum()) if most else 0
@@ -36,21 +40,22 @@ def named_columns(truth: FieldTruth, columns: npt.ArrayLike) -> tuple[int, int, 
 
 
 def _squares(places_nm: Values, right: int, down: int) -> npt.NDArray[np.int64]:
-    """A number for the square of 0.1 nm that each place lies in, or that beside it."""
+    """Returns a number for the square of 0.1 nm that contains each place, shifted by ``right`` and ``down`` squares."""
     square = np.floor(places_nm / RADIUS_NM).astype(np.int64) + np.array([right, down])
     result: npt.NDArray[np.int64] = square[:, 0] * 2**32 + square[:, 1]
     return result
 
 
 def map_bits(truth: FieldTruth, density: npt.ArrayLike | None, constant: float, seen: Mask) -> tuple[float, float]:
-    """Bits that a map gains over a constant rate in the tiles that were not seen, and those that the true numbers would gain.
+    """Returns the bits that a map gains over a constant rate in the tiles that were not acquired, and the bits of the true numbers.
 
-    Numbers of defects are taken for Poisson's about what the map says, whose best map in the mean is the expected number.
+    The likelihood of a number of defects is Poisson's, with the value of the map as mean. The best map on average is therefore the expected
+    number.
 
     Args:
-        density: expected numbers of defects in equal parts of the field; ``None`` gains nothing.
-        constant: defects that the prior expects in a tile, the same everywhere.
-        seen: tiles that were looked at.
+        density: expected numbers of defects in equal parts of the field; ``None`` gains 0 bits.
+        constant: mean number of defects in a tile by the prior.
+        seen: mask of the acquired tiles.
     """
     counts = truth.counts[~seen]
     least = max(LEAST_RATE * constant, 1e-9)
@@ -60,16 +65,20 @@ def map_bits(truth: FieldTruth, density: npt.ArrayLike | None, constant: float, 
 
 
 def _log_chance(counts: Values, rates: Values) -> Values:
-    """Poisson's, in bits, but for what does not depend on the rate."""
+    """Returns Poisson's log likelihood in bits, without the term that does not depend on the rate."""
     result: Values = (counts * np.log(rates) - rates) / math.log(2)
     return result
 
 
 def rare_score(truth: FieldTruth, rare: npt.ArrayLike, seen: Mask) -> tuple[float, int, int, int]:
-    """F1 of the clusters that were found and of the claims that are right; clusters found; clusters; and claims.
+    """Scores claims of rare tiles.
 
-    Places that are claimed count by tile, each tile once, and only where it was looked at. A cluster is found by one right claim in it. Where there is none and none is
-    claimed, the score is 1.
+    Each acquired tile with a claim counts once; claims in other tiles do not count. One correct claim finds a cluster. If there is no
+    cluster and no claim, the score is 1.
+
+    Returns:
+        The F1 score of the found clusters (recall) and the correct claims (precision); the number of found clusters; of clusters; and of
+        claims.
     """
     places = np.asarray(rare, dtype=np.float64).reshape(-1, 2)
     claimed = np.zeros(seen.shape, dtype=bool)

@@ -1,4 +1,4 @@
-"""The section of the report page about the tasks that ask for the field."""
+"""Makes the section of the report page about the tasks of the whole field."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .sections import _table
 from .statistics import bootstrap_interval
 from .tables import Results, cell
 
-#: What is shown of ``scores["field"]``: name, head of the column, digits.
+#: The columns of the table: key of ``scores["field"]``, heading, digits.
 _SHOWN = (
     ("recall", "share of all defects looked at", 3),
     ("area_seen", "share of the tiles", 3),
@@ -23,7 +23,7 @@ _SHOWN = (
 
 
 def field(results: Results) -> str:
-    """What agents found of the field, by task and world."""
+    """Returns the section: the results of the agents by task and world."""
     out = []
     for task in results.tasks:
         rows = {agent: [row for row in results.pick(agent, task) if (row.get("scores") or {}).get("field")] for agent in results.in_task(task)}
@@ -57,7 +57,7 @@ def _shown(rows: list[Row], name: str, digits: int) -> str:
 
 
 def _times_raster(agent: str, rows: dict[str, list[Row]], world: str) -> str:
-    """The mean of recall over that of the raster, seed by seed."""
+    """Returns the mean over seeds of the agent's recall divided by the raster's recall for the same seed."""
     raster = next((name for name, own in rows.items() if own and ((own[0].get("specification") or {}).get("navigator") or {}).get("kind") == "raster"), None)
     if raster is None or raster == agent:
         return ""

@@ -1,4 +1,4 @@
-"""What a whole field holds: the truth of the tasks that ask for the field, tile by tile."""
+"""The truth of a whole field, tile by tile, for the tasks about the field."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ Whole = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 View = tuple[float, float, float, float]
 
-#: Tasks that ask for the whole field. The library plays them as a census; their scores are made in Python.
+#: Tasks about the whole field. The library runs them as a defect census; Python computes their scores.
 FIELD_TASKS = ("field-recall", "density-map", "rare")
-#: A tile is rare if it holds so many times the mean number of defects, and so many standard deviations of that number more.
+#: A tile is rare if its number of defects is at least this multiple of the mean, and exceeds the mean by this many standard deviations.
 RARE_TIMES, RARE_SIGMAS = 3.0, 4.0
-#: Places of a cell along an axis at which the prior is asked.
+#: Number of points of a cell along an axis at which the prior is evaluated.
 _PLACES_A_CELL = 32
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A field as equal cells, one a tile.
+    """A field, divided into equal cells, one for each tile.
 
     Attributes:
-        rows, columns: of tiles.
+        rows, columns: numbers of rows and columns of tiles.
         size_nm: width and height of the field.
-        overlap_nm: what neighbouring tiles share.
+        overlap_nm: width of the overlap of neighbouring tiles.
     """
 
     rows: int
@@ -48,21 +48,21 @@ class Grid:
         return self.size_nm[0] / self.columns, self.size_nm[1] / self.rows
 
     def cells_of(self, places_nm: Values) -> tuple[Whole, Whole]:
-        """Row and column of each place (x, y)."""
+        """Returns the row and the column of each place (x, y)."""
         width, height = self.cell_nm
         column = np.clip((places_nm[:, 0] / width).astype(np.int64), 0, self.columns - 1)
         row = np.clip((places_nm[:, 1] / height).astype(np.int64), 0, self.rows - 1)
         return row, column
 
     def summed(self, places_nm: Values, weights: npt.ArrayLike) -> Values:
-        """Sums of weights by cell, ``[row, column]``."""
+        """Returns the sums of weights by cell, ``[row, column]``."""
         row, column = self.cells_of(places_nm)
         result = np.zeros((self.rows, self.columns))
         np.add.at(result, (row, column), np.asarray(weights, dtype=np.float64))
         return result
 
     def touched(self, view: View) -> Mask:
-        """Cells of which a view shows more than the margin that each tile shares with its neighbours."""
+        """Returns a mask of the cells that a view shows. A view of a cell's overlap with its neighbours alone does not count."""
         width, height = self.cell_nm
         left, top, right, bottom = view
         x, y = np.arange(self.columns) * width, np.arange(self.rows) * height
@@ -72,7 +72,7 @@ class Grid:
         return result
 
     def per_cell(self, density: npt.ArrayLike) -> Values:
-        """A map of expected numbers in equal parts of the field, as expected numbers in the cells."""
+        """Resamples a map of expected numbers in equal parts of the field to expected numbers in the cells."""
         given = np.asarray(density, dtype=np.float64)
         rows = (np.arange(self.rows) * 2 + 1) * given.shape[0] // (2 * self.rows)
         columns = (np.arange(self.columns) * 2 + 1) * given.shape[1] // (2 * self.columns)
@@ -81,14 +81,14 @@ class Grid:
 
 
 def grid_of(recipe: Recipe) -> Grid:
-    """The grid of a recipe: of the part that is built."""
+    """Returns the grid of a recipe, for the part of the field that is built."""
     rows, columns = recipe.grid
     height, width = recipe.fov_nm
     return Grid(rows, columns, (width, height), recipe["field"]["overlap_px"] * recipe.pixel_nm)
 
 
 def rare_from(mean: float) -> float:
-    """Fewest defects that make a tile rare, where tiles hold ``mean`` on average."""
+    """Returns the smallest number of defects of a rare tile, if tiles have ``mean`` defects on average."""
     return RARE_TIMES * mean + RARE_SIGMAS * math.sqrt(mean)
 
 
@@ -97,12 +97,12 @@ class FieldTruth:
     """The defects of a specimen.
 
     Attributes:
-        grid: of the field.
-        columns: all its columns.
-        numbers: defects in each, all types together.
-        counts: the same by cell, ``[row, column]``.
-        clusters: of each cell the number of the cluster of rare tiles that it belongs to, from 1 on; 0 elsewhere. Rare tiles that share an edge
-            or a corner are one cluster.
+        grid: grid of the field.
+        columns: all columns of the field.
+        numbers: number of defects in each column, all types together.
+        counts: number of defects in each cell, ``[row, column]``.
+        clusters: for each cell, the number of its cluster of rare tiles, from 1 on; 0 for other tiles. Rare tiles that share an edge or a
+            corner form one cluster.
     """
 
     grid: Grid
@@ -113,30 +113,33 @@ class FieldTruth:
 
     @staticmethod
     def of(grid: Grid, columns: Columns) -> FieldTruth:
-        """That of some columns."""
+        """Returns the truth for some columns."""
         numbers = columns.counts(None)
         counts = grid.summed(columns.places_nm, numbers)
         return FieldTruth(grid, columns, numbers, counts, grouped(counts >= max(rare_from(float(counts.mean())), 1.0)))
 
     @property
     def total(self) -> int:
-        """Defects of the field."""
+        """The number of defects of the field."""
         return int(self.numbers.sum())
 
 
 @functools.lru_cache(maxsize=2)
 def field_truth(toml: str) -> FieldTruth:
-    """The truth of a recipe's specimen. Its atoms are laid out, which takes a second or two for a field of 100 nm; it is kept for the next agent."""
+    """Returns the truth of a recipe's specimen.
+
+    Its atoms are laid out, which takes 1 to 2 s for a field of 100 nm. The result is cached for the next agent.
+    """
     return FieldTruth.of(grid_of(Recipe(toml)), columns_of(toml))
 
 
 def expected_counts(recipe: Recipe, grid: Grid) -> Values:
-    """Defects that the prior expects in each cell, ``[row, column]``."""
+    """Returns the prior's expected number of defects in each cell, ``[row, column]``."""
     prior: Prior = prior_of(recipe)
     total = np.sum(list(prior.rates.values()), axis=0)
 
     def along(axis: int, cells: int) -> Values:
-        """Mean rates of so many equal parts along an axis, each looked at in several places."""
+        """Returns the mean rates of equal parts along an axis, each averaged over several points."""
         if axis != prior.axis:
             return np.ones(cells)
         places = np.zeros((cells * _PLACES_A_CELL, 2))
@@ -151,7 +154,7 @@ def expected_counts(recipe: Recipe, grid: Grid) -> Values:
 
 
 def grouped(there: Mask) -> Whole:
-    """Numbers of the groups of cells that share an edge or a corner, from 1 on; 0 where ``there`` is false."""
+    """Numbers the groups of cells that share an edge or a corner, from 1 on; 0 for cells in which ``there`` is false."""
     groups = np.zeros(there.shape, dtype=np.int64)
     number = 0
     for start in zip(*np.nonzero(there), strict=True):

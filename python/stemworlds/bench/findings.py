@@ -1,4 +1,4 @@
-"""What an agent says of a field."""
+"""The findings that an agent declares about a field."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ..errors import InvalidValue, _invalid
 
-#: Phase maps hold this where nothing is predicted.
+#: Value of a phase map without a prediction.
 NO_PHASE = -1
 #: Digits behind the point of a density in a report.
 _DENSITY_DIGITS = 5
@@ -24,21 +24,23 @@ def _places(width: int) -> npt.NDArray[np.float64]:
 
 @dataclass(eq=False)
 class Findings:
-    """All that is known of a field so far. What is left empty is said not to be there; a task looks only at what it asks for.
+    """The findings of an agent about a field.
+
+    An empty attribute declares that the field has none of these features. A task scores only the attributes that it needs.
 
     Attributes:
-        counts: number of defects by type, ``{"vacancy": 3}``; those of ``defects`` when ``None``.
-        defects: places ``(x, y)`` in nm, ``(N, 2)``, by type: ``"vacancy"``, ``"substitution"``. With ``None`` counts alone are scored.
-        phases: int ``[row, column]``, phases of the whole field in equal parts, as many as you like; :data:`NO_PHASE` where nothing is
-            predicted. ``None`` says that there is one phase.
+        counts: number of defects by type, ``{"vacancy": 3}``; ``None`` counts the places in ``defects``.
+        defects: places ``(x, y)`` in nm, ``(N, 2)``, by type: ``"vacancy"``, ``"substitution"``. With ``None``, counts alone are scored.
+        phases: int ``[row, column]``, phases of equal parts of the whole field, of any number; :data:`NO_PHASE` for parts without a
+            prediction. ``None`` declares one phase.
         particles: ``(N, 3)``: x, y and diameter in nm.
-        morphologies: their shapes: ``"wulff"``, ``"icosahedral"``, ``"decahedral"``.
-        columns: ``(N, 3)``: x, y in nm, and a number that is greater where a defect is more likely; for the scores by column.
-        forecasts: ``(N, 2 + K)``: x, y in nm of a column, and the chances of 0, 1, ... defects in it, all types together or of the target; the
-            last one is that of ``K - 1`` or more. The strict tasks about defects are scored by them.
-        density: expected numbers of defects, all types together, ``[row, column]``, in equal parts of the whole field, as many as you like; for
+        morphologies: shapes of the particles: ``"wulff"``, ``"icosahedral"``, ``"decahedral"``.
+        columns: ``(N, 3)``: x, y in nm, and a number that increases with the probability of a defect; for the scores by column.
+        forecasts: ``(N, 2 + K)``: x, y in nm of a column, and the probabilities of 0, 1, ... defects in it, of all types together or of the
+            target. The last one is the probability of ``K - 1`` or more defects. The strict tasks about defects score them.
+        density: expected numbers of defects, all types together, ``[row, column]``, in equal parts of the whole field, of any number; for
             the task ``density-map``.
-        rare: ``(N, 2)``: x, y in nm of places where far more defects are than elsewhere; for the task ``rare``.
+        rare: ``(N, 2)``: x, y in nm of places with far more defects than elsewhere; for the task ``rare``.
     """
 
     counts: Mapping[str, int] | None = None
@@ -52,10 +54,10 @@ class Findings:
     rare: npt.NDArray[np.float64] = field(default_factory=lambda: _places(2))
 
     def report(self) -> str:
-        """The text (JSON) that a declaration takes.
+        """Returns the text (JSON) of a declaration.
 
         Raises:
-            InvalidValue: for arrays of another shape.
+            InvalidValue: for an array of a wrong shape.
         """
         out: dict[str, Any] = {}
         if self.counts is not None:
@@ -77,10 +79,10 @@ class Findings:
 
     @staticmethod
     def read(report: str) -> Findings:
-        """Findings from the text that :meth:`report` gives.
+        """Reads findings from a text that :meth:`report` wrote.
 
         Raises:
-            InvalidValue: for text that is no JSON object of findings.
+            InvalidValue: for a text that is no JSON object of findings.
         """
         try:
             found = json.loads(report)
@@ -107,7 +109,7 @@ def _array(values: Any, width: int) -> npt.NDArray[np.float64]:
 
 
 def forecasts_of(values: Any) -> npt.NDArray[np.float64]:
-    """Checked: two classes at least, chances that are not negative."""
+    """Checks forecasts: at least two classes, and no negative probability."""
     array = np.asarray(values, dtype=np.float64)
     if array.size == 0:
         return _places(4)
@@ -119,7 +121,7 @@ def forecasts_of(values: Any) -> npt.NDArray[np.float64]:
 
 
 def density_of(values: Any) -> npt.NDArray[np.float64]:
-    """Checked: a map with a row and a column at least, of numbers that are not negative."""
+    """Checks a density map: at least one row and one column, and no negative number."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != 2 or array.size == 0:
         raise _invalid("findings", f"density has shape {array.shape}: expected (rows, columns) of equal parts of the field")

@@ -1,4 +1,4 @@
-"""Scores of forecasts by column: what an agent knows of each column beyond what is known without looking."""
+"""Scores forecasts by column: the information of an agent about each column beyond the prior."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from .findings import Findings
 Values = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
-#: A forecast is that of the nearest column within so many nm: half the distance of two columns.
+#: A forecast belongs to the nearest column within this distance in nm, which is half the distance of two columns.
 RADIUS_NM = 0.1
-#: The least chance that counts: a forecast that says "never" of what is there costs 20 bits, and not infinitely many.
+#: Least probability. A forecast of 0 for a defect that exists therefore costs 20 bits, and not infinitely many.
 LEAST_CHANCE = 2.0**-20
 
 
 @dataclass(frozen=True)
 class ForecastScore:
-    """How much a declaration tells of the columns that were seen.
+    """The information of a declaration about the seen columns.
 
     Attributes:
-        columns: how many were seen.
-        bits: gained over the prior, all columns together; below 0 if the forecasts are worse than it.
-        prior_bits: what the prior lacks: bits of who knows the truth.
-        average_precision: of the columns with a defect, the likeliest first.
-        prior_average_precision: the same by the prior's chances.
-        count_error: expected less true number of defects.
-        count_sigma: standard deviation of that number by the forecasts, columns taken apart.
+        columns: number of seen columns.
+        bits: bits gained over the prior, summed over all columns; negative if the forecasts are worse than the prior.
+        prior_bits: bits that the truth would gain over the prior.
+        average_precision: average precision in finding the columns with a defect, ranked by the forecasts.
+        prior_average_precision: average precision with the ranking by the prior.
+        count_error: expected number of defects minus their true number.
+        count_sigma: standard deviation of the number of defects by the forecasts, with independent columns.
     """
 
     columns: int
@@ -43,11 +43,11 @@ class ForecastScore:
 
     @property
     def share(self) -> float:
-        """Share of the prior's ignorance that is gone, from 0 to 1: the score of the strict tasks. Where nothing was unknown it is 0."""
+        """The score of the strict tasks: ``bits`` divided by ``prior_bits``, from 0 to 1. It is 0 if ``prior_bits`` is 0."""
         return min(max(self.bits / self.prior_bits, 0.0), 1.0) if self.prior_bits > 0 else 0.0
 
     def numbers(self, electrons: float) -> dict[str, float]:
-        """For records; ``electrons`` is how many were spent on what was seen."""
+        """Returns the numbers for records. ``electrons`` is the number of electrons on the acquired tiles."""
         return {
             "share": self.share,
             "columns": self.columns,
@@ -65,14 +65,14 @@ class ForecastScore:
 def score_forecasts(findings: Findings | None, places_nm: Values, counts: Whole, prior: Values) -> ForecastScore:
     """Scores forecasts against the columns that were seen.
 
-    Where nothing is forecast the prior stands, which gains no bit. A forecast of fewer classes than the prior has says of its last class
-    "that many or more", and within it follows the prior.
+    A column without a forecast takes the prior, which gains 0 bits. The last class of a forecast with fewer classes than the prior means
+    "that many or more". It is divided in the prior's proportions.
 
     Args:
-        findings: what was declared.
-        places_nm: (N, 2), of the columns.
-        counts: (N,), their numbers of defects.
-        prior: (N, K), chances of 0, 1, ... defects; the last class is "that many or more".
+        findings: the declared findings.
+        places_nm: (N, 2), places of the columns.
+        counts: (N,), true numbers of defects in the columns.
+        prior: (N, K), probabilities of 0, 1, ... defects; the last class means "that many or more".
     """
     said, owner, chances = _matched(findings, places_nm, prior)
     true = np.minimum(counts, prior.shape[1] - 1)
@@ -95,13 +95,13 @@ def score_forecasts(findings: Findings | None, places_nm: Values, counts: Whole,
 
 
 def bits_by_column(findings: Findings | None, places_nm: Values, counts: Whole, prior: Values) -> Values:
-    """Bits that forecasts gain over the prior in each column, (N,); arguments as those of :func:`score_forecasts`."""
+    """Returns the bits that forecasts gain over the prior in each column, (N,). The arguments are described at :func:`score_forecasts`."""
     _, _, chances = _matched(findings, places_nm, prior)
     return _bits(chances, prior, np.minimum(counts, prior.shape[1] - 1))
 
 
 def _matched(findings: Findings | None, places_nm: Values, prior: Values) -> tuple[Values, Whole, Values]:
-    """What was said, the column of each forecast (-1 for none), and chances of all columns: forecasts, or the prior."""
+    """Returns the forecasts, the column of each forecast (-1 for none), and the probabilities of all columns by forecast or prior."""
     said = np.zeros((0, 4)) if findings is None else np.asarray(findings.forecasts, dtype=np.float64)
     owner = nearest_columns(said[:, :2], places_nm)
     chances = prior
@@ -115,20 +115,20 @@ def _matched(findings: Findings | None, places_nm: Values, prior: Values) -> tup
 def _bits(chances: Values, prior: Values, true: Whole) -> Values:
     each = np.arange(len(true))
     gained: Values = np.log2(np.maximum(chances[each, true], LEAST_CHANCE)) - np.log2(np.maximum(prior[each, true], LEAST_CHANCE))
-    # A chance that the prior itself puts below the least one is no fault of the forecast.
+    # The prior may have probabilities below the least one. A forecast that equals the prior gains exactly 0 bits.
     gained[(chances == prior).all(axis=1)] = 0.0
     return gained
 
 
 def _fair(chances: Values) -> Values:
-    """Chances that sum to 1."""
+    """Returns probabilities that sum to 1."""
     total = chances.sum(axis=1, keepdims=True)
     result: Values = np.divide(chances, total, out=np.full_like(chances, 1 / max(chances.shape[1], 1)), where=total > 0)
     return result
 
 
 def _spread(said: Values, prior: Values) -> Values:
-    """Forecasts in the classes of the prior."""
+    """Converts forecasts to the classes of the prior."""
     classes, known = said.shape[1], prior.shape[1]
     if classes >= known:
         return np.column_stack([said[:, : known - 1], said[:, known - 1 :].sum(axis=1)])
@@ -138,7 +138,7 @@ def _spread(said: Values, prior: Values) -> Values:
 
 
 def nearest_columns(said_nm: Values, places_nm: Values) -> Whole:
-    """For each place that was said the column within :data:`RADIUS_NM`, nearest pairs first, each once; -1 where there is none."""
+    """Assigns a column within :data:`RADIUS_NM` to each declared place, or -1. Nearest pairs are assigned first, and each column once."""
     owner = np.full(len(said_nm), -1, dtype=np.int64)
     if not len(said_nm) or not len(places_nm):
         return owner
@@ -164,7 +164,7 @@ def nearest_columns(said_nm: Values, places_nm: Values) -> Whole:
 
 
 def average_precision(there: npt.NDArray[np.bool_], sure: Values) -> float:
-    """Sum over thresholds of precision times the recall that each adds; equal values are one threshold. 0 where nothing is there."""
+    """Returns the sum over thresholds of precision times gain in recall. Equal values are one threshold. 0 if ``there`` is nowhere true."""
     if not there.any():
         return 0.0
     order = np.argsort(-sure, kind="stable")

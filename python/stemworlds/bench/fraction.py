@@ -1,4 +1,4 @@
-"""How much of what can be seen a network sees: its bits over those of the ideal observer, on the same counts of held-out specimens."""
+"""Compares networks with the ideal observer: the ratio of their bits, on the same counts of held-out specimens."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ __all__ = ["Fraction", "fractions"]
 
 Values = npt.NDArray[np.float64]
 
-#: Seed of the specimen that is looked at; specimens for training have even ones.
+#: Seed of the evaluated specimen. Specimens for training have even seeds.
 HELD_OUT_SEED = 4_001
-#: Draws of the bootstrap over tiles.
+#: Number of draws of the bootstrap over tiles.
 _DRAWS = 1000
-#: Of the bits that the ideal observer gains in a column, the least of which a fraction says anything.
+#: Least number of bits that the ideal observer has to gain in a column. Below it, the ratio is mostly noise.
 LEAST_BITS = 0.005
 
 
 @dataclass(frozen=True)
 class Fraction:
-    """Columns of one kind of one recipe at one dose.
+    """Result for the columns of one kind of one recipe at one dose.
 
     Attributes:
-        recipe, tier, kind: of the columns.
-        dose: electrons per square Angstrom.
-        tiles, columns: how many were looked at.
-        prior_bits: a column's, that the prior lacks.
-        ideal_bits, network_bits: a column's, gained over the prior.
-        fraction: network's over ideal's; ``None`` where the ideal observer gains less than :data:`LEAST_BITS`.
-        interval: of the fraction, 95 %, by a bootstrap over tiles.
-        found: share of the columns that the network has found within 0.1 nm.
-        error_nm: root mean square of their distance, along one axis.
+        recipe, tier, kind: recipe, tier, and kind of the columns.
+        dose: dose in electrons per square Angstrom.
+        tiles, columns: numbers of evaluated tiles and columns.
+        prior_bits: bits per column that the truth would gain over the prior.
+        ideal_bits, network_bits: bits per column that ideal observer and network gain over the prior.
+        fraction: ``network_bits`` divided by ``ideal_bits``; ``None`` if the ideal observer gains less than :data:`LEAST_BITS`.
+        interval: 95 % interval of the fraction, by a bootstrap over tiles.
+        found: share of the columns that the network finds within 0.1 nm.
+        error_nm: root mean square error of the found places along one axis.
     """
 
     recipe: str
@@ -67,7 +67,7 @@ class Fraction:
 
 @dataclass
 class _Sums:
-    """Of one kind, by tile."""
+    """Sums for the columns of one kind, by tile."""
 
     columns: list[int] = field(default_factory=list)
     prior: list[float] = field(default_factory=list)
@@ -88,18 +88,18 @@ def fractions(
 ) -> list[Fraction]:
     """Compares a network, or an ensemble, with the ideal observer.
 
-    Tiles are those of the benchmark: straight, with the recipe's pixels, of a specimen that training did not see. All specimens of a recipe
-    draw on one library, so its patterns of phonons and defects were seen.
+    The tiles have the form of the benchmark: unrotated, with the recipe's pixel size, from a specimen that was not used for training. All
+    specimens of a recipe use one library, so training has used its simulations with their phonons and defects.
 
     Args:
-        models: files that ``stemworlds train`` wrote.
-        recipe: of the specimen.
-        doses: in electrons per square Angstrom; at each the same places are recorded.
-        tiles: how many.
-        seed: of specimen, places and noise; odd.
+        models: files of networks from ``stemworlds train``.
+        recipe: recipe of the specimen.
+        doses: doses in electrons per square Angstrom. All doses use the same places.
+        tiles: number of tiles.
+        seed: odd seed of specimen, places and noise.
 
     Raises:
-        InvalidValue: for an even seed: such specimens are for training.
+        InvalidValue: for an even seed, since specimens with even seeds are for training.
     """
     if seed % 2 == 0:
         raise _invalid("seed", f"seed = {seed}: expected an odd number; specimens with even seeds are for training")
@@ -117,21 +117,21 @@ def fractions(
 
 
 def _acquired(sample: Sample) -> Acquired:
-    """A sample as the benchmark shows it."""
+    """Converts a sample to an acquisition of the benchmark."""
     edge = sample.counts.shape[0] * sample.pixel_nm
     electrons = sample.dose * (10 * sample.pixel_nm) ** 2
     return Acquired(0, 0, sample.centre_nm, edge, sample.pixel_nm, 1.0, sample.dose / 100, sample.dose, electrons, 1.0, 0.0, sample.image)
 
 
 def _within(columns: Columns, sample: Sample) -> Columns:
-    """The columns that a straight sample shows."""
+    """Returns the columns that an unrotated sample shows."""
     half = sample.counts.shape[0] * sample.pixel_nm / 2
     x, y = sample.centre_nm
     return columns.within(x - half, y - half, x + half, y + half)
 
 
 class _Facts:
-    """What an analyst asks of a field and a world."""
+    """The facts of field and world that an analyst reads."""
 
     task, target, phases = "defect-census", None, ()
 
@@ -148,7 +148,7 @@ def _forecast(models: Any, specimen: Recipe, sample: Sample) -> Findings:
 
 
 def _analyst(models: Any) -> NeuralAnalyst:
-    """The analyst of these files, opened once in a process."""
+    """Returns the analyst of these files, which is opened once in a process."""
     paths = (os.fspath(models),) if isinstance(models, str | os.PathLike) else tuple(map(os.fspath, models))
     if paths not in _OPENED:
         _OPENED[paths] = NeuralAnalyst(paths)
@@ -159,7 +159,7 @@ _OPENED: dict[tuple[str, ...], NeuralAnalyst] = {}
 
 
 def _compare(tile: Acquired, columns: Columns, prior: Prior, templates: Any, said: Findings, sums: dict[str, _Sums]) -> None:
-    """Adds what both say of a tile's columns."""
+    """Adds the bits of ideal observer and network for a tile's columns to ``sums``."""
     counts, chances = columns.counts(None), prior.of(columns, None)
     network = bits_by_column(said, columns.places_nm, counts, chances)
     owner = nearest_columns(said.forecasts[:, :2], columns.places_nm)
@@ -186,7 +186,7 @@ def _compare(tile: Acquired, columns: Columns, prior: Prior, templates: Any, sai
 
 
 def _ideal(tile: Acquired, places: Values, prior: Values, template: Any) -> Values:
-    """The ideal observer's posterior, of its grade ``linear``."""
+    """Returns the posterior of the ideal observer with the grade ``linear``."""
     toward, sharpness = evidence(tile, places, template)
     number = np.arange(prior.shape[1], dtype=np.float64)
     logs = np.array([log_likelihood(toward[n], sharpness[n], template, number, "linear") for n in range(len(places))])

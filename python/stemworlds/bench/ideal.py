@@ -1,4 +1,4 @@
-"""The ideal observer: what the counts of a tile tell of each column, and no more."""
+"""The ideal observer: computes the posterior of each column from the counts of its tiles."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ __all__ = ["Ideal"]
 Values = npt.NDArray[np.float64]
 Grade = Literal["linear", "mixture", "known"]
 
-#: Evidence below this says nothing, and a count without evidence has an error of so many times what is usual.
+#: Sharpness below which a tile has no evidence, and the error of a count without evidence, in units of the usual count.
 _LEAST_SHARPNESS, _UNKNOWN = 1e-9, 1e3
 
 
 @dataclass(eq=False)
 class _Evidence:
-    """What all recordings say of one column: the log likelihood is ``toward @ v - v @ sharpness @ v / 2`` for v = (defects, modes)."""
+    """Evidence of all recordings of one column: the log likelihood is ``toward @ v - v @ sharpness @ v / 2`` for v = (defects, modes)."""
 
     toward: Values
     sharpness: Values
@@ -41,22 +41,23 @@ class _Evidence:
 
 
 class Ideal:
-    """Declares, for each column it has seen, the posterior chances of 0, 1, 2 ... defects.
+    """Declares the posterior probabilities of 0, 1, 2 ... defects for each seen column.
 
-    It knows where the columns are and of what kind, the recipe's prior, and the images of columns with any number of defects from the
-    library: no analyst that reads the same counts can have more bits on average, up to its approximations. These are: the mean image
-    is a straight line in the number of defects; columns are judged one by one, within some 0.1 nm; Poisson counts have the variance of
-    the mean image; eight modes tell how images of equal columns differ.
+    It knows the places and kinds of the columns, the recipe's prior, and the library's images of columns with any number of defects. No
+    analyst that reads the same counts can gain more bits on average, within its four approximations: The mean image is linear in the number
+    of defects. Columns are evaluated separately, within about 0.1 nm. The variance of the Poisson counts is taken from the mean image.
+    Eight modes describe the differences between images of equal columns.
 
-    In the tasks that ask for the field it counts the defects of each tile, with their error: the columns' evidence together tells how many times the usual
-    number there are. The map of the field follows from that by a Gaussian process about the usual map.
+    In the tasks about the whole field it estimates the number of defects in each tile, with its error: the evidence of all columns together
+    gives the ratio to the usual number. A Gaussian process around the usual map then gives the map of the field.
 
-    In phase mapping and the particle census it declares the truth of what was seen, and in phase mapping what is usual elsewhere: an upper bound.
+    In phase mapping and the particle census it declares the truth of the acquired tiles, which is an upper bound. In phase mapping it
+    declares the usual phases elsewhere.
 
     Args:
-        grade: what is known of the frozen phonons and neighbours. ``"linear"``: the normal distribution of the modes. ``"mixture"``: the
-            modes of some 400 columns that were learned from, each as likely. ``"known"``: all modes are 0 and the change by a defect is
-            added to the very image, as if it were known but for the defects: a bound from above, which needs the truth.
+        grade: knowledge about frozen phonons and neighbours. ``"linear"``: the modes have a normal distribution. ``"mixture"``: the modes
+            have the values of about 400 example columns, with equal probabilities. ``"known"``: the image without the defects is known
+            exactly, so all modes are 0. This is an upper bound that needs the truth.
     """
 
     def __init__(self, grade: Grade = "linear") -> None:
@@ -66,7 +67,7 @@ class Ideal:
         self._world: Any = None
 
     def attach(self, world: Any) -> None:
-        """Takes the environment that is played."""
+        """Stores the environment of the episode."""
         self._world = world
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
@@ -76,7 +77,7 @@ class Ideal:
         self._places: list[tuple[float, float]] = []
         self._facts: dict[tuple[int, int], tuple[Values, Values]] = {}
         self._evidence: dict[tuple[int, int], _Evidence] = {}
-        #: Posteriors that no later recording has changed.
+        #: Cached posteriors. A new recording of a column removes its entry.
         self._known: dict[tuple[int, int], Values] = {}
         self._looked = 0
         self._seed = int(random.integers(2**63))
@@ -103,7 +104,7 @@ class Ideal:
         return with_map(Findings(columns=likeliest), self._field, tiles, np.array(self._counted), self._usual)
 
     def tile_counts(self, tiles: Sequence[Acquired]) -> Values:
-        """Defects in each tile and their standard deviations, (N, 2)."""
+        """Returns the number of defects in each tile and its standard deviation, (N, 2)."""
         self._follow(tiles)
         return np.array(self._counted, dtype=np.float64).reshape(-1, 2)
 
@@ -121,7 +122,7 @@ class Ideal:
         return Findings(phases=np.where(truth.phases == NO_PHASE, usual[np.ix_(rows, columns)], truth.phases))
 
     def _look(self, tile: Acquired, number: int) -> None:
-        """Adds what a tile says."""
+        """Adds the evidence of a tile."""
         x, y = tile.centre_nm
         half = tile.size_nm / 2
         view = (x - half, y - half, x + half, y + half)
@@ -151,8 +152,10 @@ class Ideal:
         self._counted.append(_count(float((chances @ np.arange(chances.shape[1])).sum()), pulls, cell_share(self._field, tile)))
 
     def _of_the_known_image(self, number: int, columns: Columns, own: npt.NDArray[np.intp], sharpness: Values) -> Values:
-        """What counts would say of columns whose images are known but for the defects: the true number, and Poisson noise alone. The noise
-        is drawn anew, from a seed for each column and recording, since the noise-free image of the tile is not at hand."""
+        """Returns the evidence for columns whose images are known except for the defects: the true number with Poisson noise alone.
+
+        The noise is drawn here, from a seed for each column and recording, since the noise-free image of the tile is not available.
+        """
         counts = columns.counts(self._target)[own]
         toward = np.zeros(sharpness.shape[:2])
         for n, (index, count) in enumerate(zip(own.tolist(), counts.tolist(), strict=True)):
@@ -163,7 +166,7 @@ class Ideal:
         return toward
 
     def _declared(self) -> Findings:
-        """Posterior chances of all columns seen, and the claims that the paper's scores ask for."""
+        """Returns the posterior probabilities of all seen columns, and the claims for the paper's scores."""
         keys = sorted(self._facts)
         if not keys:
             return Findings()
@@ -196,7 +199,7 @@ class Ideal:
 
 
 def evidence(tile: Acquired, places_nm: Values, template: Template) -> tuple[Values, Values]:
-    """What a tile says of columns: for each the linear and the quadratic part of its log likelihood in (defects, modes)."""
+    """Returns the linear and the quadratic part of the log likelihood of a tile, in (defects, modes), for each column."""
     height, width = tile.image.shape
     pixel, electrons = tile.pixel_nm, tile.electrons_per_pixel
     counts = (tile.image.astype(np.float64) * tile.scale + tile.offset) * electrons
@@ -212,7 +215,7 @@ def evidence(tile: Acquired, places_nm: Values, template: Template) -> tuple[Val
     seen = counts[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
     layers = template.at(x, y)
     mean, ways, left = layers[0], electrons * layers[1:-1], electrons * layers[-1]
-    # A pixel has Poisson's variance, and that of what the modes leave.
+    # The variance of a pixel is Poisson's plus the variance that the modes do not describe.
     weight = np.where(inside, 1 / (electrons * np.maximum(mean, 1e-6) + left**2), 0.0)
     toward = np.einsum("anyx,nyx->na", ways, weight * (seen - electrons * mean))
     sharpness = np.einsum("anyx,bnyx,nyx->nab", ways, ways, weight, optimize=True)
@@ -220,13 +223,13 @@ def evidence(tile: Acquired, places_nm: Values, template: Template) -> tuple[Val
 
 
 def log_likelihood(toward: Values, sharpness: Values, template: Template, number: Values, grade: Grade) -> Values:
-    """Log likelihood of numbers of defects in a column, but for a constant."""
+    """Returns the log likelihood of numbers of defects in a column, up to a constant."""
     if grade == "known":
         result: Values = number * toward[0] - number**2 * sharpness[0, 0] / 2
         return result
     across, of_modes = sharpness[0, 1:], sharpness[1:, 1:]
     if grade == "linear":
-        # Modes are normal with deviation 1: they are integrated out.
+        # The modes are normally distributed with deviation 1, so they are integrated out.
         solved = np.linalg.solve(np.eye(template.modes) + of_modes, np.column_stack([toward[1:], across]))
         slope, curve = toward[0] - across @ solved[:, 0], sharpness[0, 0] - across @ solved[:, 1]
         result = number * slope - number**2 * curve / 2
@@ -240,9 +243,11 @@ def log_likelihood(toward: Values, sharpness: Values, template: Template, number
 
 
 def _pull(toward: Values, sharpness: Values, prior: Values, grade: Grade) -> tuple[Values, Values]:
-    """Of columns, by how much their counts ask for more defects than none, and how sharply: each column's log likelihood for n defects is
-    ``slope n - curve n^2 / 2``. Both are weighted by the mean and variance that the prior gives the number, so that their sums say how
-    many times the usual number there are: ``sum of slopes / sum of curves``, with the variance ``1 / sum of curves``."""
+    """Returns the weighted slope and curvature of each column's log likelihood, ``slope n - curve n^2 / 2`` for n defects.
+
+    The weights contain the prior's mean and variance of the number. The ratio ``sum of slopes / sum of curves`` therefore estimates the
+    number of defects in units of the usual number, with the variance ``1 / sum of curves``.
+    """
     if grade == "known":
         slope, curve = toward[:, 0], sharpness[:, 0, 0]
     else:
@@ -258,25 +263,30 @@ def _pull(toward: Values, sharpness: Values, prior: Values, grade: Grade) -> tup
 
 
 def _count(usual: float, pulls: Sequence[tuple[Values, Values]], share: float) -> tuple[float, float]:
-    """Defects of a tile and their standard deviation, from those that are usual in what was seen of it and the evidence of its columns; ``share`` is
-    the tile's area over that of what was seen."""
+    """Returns the number of defects of a tile and its standard deviation, from the evidence of its seen columns.
+
+    ``usual`` is the usual number in the seen part of the tile. ``share`` is the area of the tile divided by the area of the seen part.
+    """
     sharp = sum(float(curves.sum()) for _, curves in pulls)
     if usual <= 0 or sharp <= _LEAST_SHARPNESS:
-        # Nothing was told: as usual, and not known.
+        # Without evidence, the count is the usual number, with an error so large that it has no weight.
         return usual * share, _UNKNOWN * max(usual * share, 1.0)
     times = sum(float(slopes.sum()) for slopes, _ in pulls) / sharp
     return times * usual * share, usual * share / float(np.sqrt(sharp))
 
 
 def _shares(prior: Prior, columns: Columns) -> Values:
-    """Of the defects to be expected in each column the share of each type, (N, types)."""
+    """Returns the share of each type in the expected number of defects of each column, (N, types)."""
     means = np.column_stack([prior.of(columns, kind) @ np.arange(prior.chances[kind].shape[2]) for kind in DEFECT_TYPES])
     result: Values = means / np.maximum(means.sum(axis=1, keepdims=True), 1e-300)
     return result
 
 
 def claims(expected: Values) -> npt.NDArray[np.intp]:
-    """Indices of columns, each as often as defects are claimed in it: as many in all as are to be expected, where most are."""
+    """Returns the indices of the columns with claimed defects, once for each defect.
+
+    The number of claims is the rounded sum of the expected numbers. They go to the columns with the greatest expected numbers.
+    """
     whole = np.floor(expected).astype(np.int64)
     more = int(round(float(expected.sum()))) - int(whole.sum())
     if more > 0:

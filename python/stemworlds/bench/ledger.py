@@ -1,4 +1,4 @@
-"""What an episode is scored by in Python: the parts that were seen, the last declaration, and the curve of the score over the dose."""
+"""Scores an episode in Python: records the seen areas, the last declaration, and the score as a function of dose."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .statistics import CHECKPOINTS
 
 @dataclass(eq=False)
 class Ledger:
-    """Follows the steps of one episode. Kinds of ledgers have :meth:`share` and :meth:`told`.
+    """Records the steps of one episode. Derived classes define :meth:`share`, :meth:`told` and :meth:`truth`.
 
     Attributes:
-        specimen: gives the recipe with the seed of the episode's specimen. Its defects are those at the start of the episode.
-        budget, cadence: of the episode.
-        scored: whether the curve is kept and rewards are paid.
+        specimen: returns the recipe with the seed of the episode's specimen. Damage during the episode is not included.
+        budget, cadence: dose budget of the episode, and number of acquisitions from one recorded score to the next.
+        scored: whether the ledger records the curve and sets rewards.
     """
 
     specimen: Callable[[], Recipe]
@@ -34,11 +34,11 @@ class Ledger:
     _paid: float = 0.0
     _acquired: int = 0
     _due: bool = False
-    #: Left, upper, right and lower edge of each acquisition in nm.
+    #: Left, upper, right and lower edge of each acquisition, in nm.
     _views: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     def took(self, acquired: Mapping[str, Any] | None, declared: Findings | None, ended: bool, spent: float, tile_px: int) -> None:
-        """Follows one step. The record that is due is made before more dose is spent, as of the other tasks."""
+        """Records one step. As in the other tasks, a due score is recorded before the next acquisition."""
         if acquired is not None:
             if self._due:
                 self._note()
@@ -59,23 +59,23 @@ class Ledger:
             self.curve.append([min(self._spent / self.budget, 1.0), self.share()])
 
     def share(self) -> float:
-        """The score of what was declared last."""
+        """Returns the score of the last declaration."""
         raise NotImplementedError
 
     def told(self, record: dict[str, Any]) -> dict[str, Any]:
-        """The record of the episode with what the ledger knows."""
+        """Adds the ledger's scores to the record of the episode."""
         raise NotImplementedError
 
     def truth(self, seen: Findings) -> Findings:
-        """The truth of what was seen, as the task asks for it; ``seen`` holds what the library knows of it."""
+        """Adds the truth of the task to ``seen``, which contains the library's truth of the acquired tiles."""
         raise NotImplementedError
 
     def gain(self) -> float:
-        """The change of the score since the last call."""
+        """Returns the change of the score since the last call."""
         score = self.share()
         gained, self._paid = score - self._paid, score
         return gained
 
     def own_curve(self) -> dict[str, Any]:
-        """The curve, and its areas, for the record."""
+        """Returns the curve and its metrics for the record."""
         return {"curve": self.curve, "metrics": json.loads(_core.dose_metrics([(a, b) for a, b in self.curve], CHECKPOINTS))}

@@ -1,4 +1,4 @@
-"""Navigators that look at nothing, and those with a Gaussian process over the tiles."""
+"""Navigators with a fixed or random order of tiles, and navigators with a Gaussian process over the tiles."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Interest = Literal["variance", "features", "uncertainty"]
 
 
 class RandomTiles:
-    """Tiles that were not visited, each as likely."""
+    """Chooses a random tile that was not acquired."""
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
         self._random = random
@@ -37,7 +37,7 @@ class RandomTiles:
 
 
 class Raster:
-    """Row by row from the upper left, each row from left to right."""
+    """Chooses the tiles row by row from the upper left, each row from left to right."""
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
         pass
@@ -48,10 +48,10 @@ class Raster:
 
 
 class RandomMask:
-    """A share of the tiles, drawn at the start; nothing else is looked at.
+    """Chooses a random share of the tiles, drawn at the start of the episode.
 
     Args:
-        share: of the tiles of the grid; 0.2 is CS-20 of the paper.
+        share: share of the tiles of the grid. 0.2 is CS-20 of the STEMGym paper.
     """
 
     def __init__(self, share: float = 0.2) -> None:
@@ -70,15 +70,15 @@ class RandomMask:
 
 
 class GaussianProcess:
-    """A Gaussian process over the positions of the tiles; its target is how interesting a tile is.
+    """Fits a Gaussian process to the interest of the tiles, as a function of their positions.
 
     Args:
         acquisition: ``"ucb"``, mean + beta x deviation; ``"ei"``, expected improvement; ``"thompson"``, the best of one sample.
-        beta: of ``"ucb"``; that of a planner comes first.
-        interest: ``"variance"`` of the intensity; ``"features"``, the mean of three standardised hand-made features (variance, density of
-            peaks, dispersion of their intensities); ``"uncertainty"`` of the analyst, which has to have a method of that name.
-        initial: tiles drawn at random at first.
-        refit: the kernel is fitted again after that many tiles.
+        beta: number of deviations for ``"ucb"``. A planner's ``beta`` takes precedence.
+        interest: ``"variance"`` of the intensity; ``"features"``, the mean of three standardised features (variance, density of peaks,
+            dispersion of their intensities); or ``"uncertainty"`` of the analyst, which needs a method of this name.
+        initial: number of random tiles at the start.
+        refit: number of tiles from one fit of the kernel to the next.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class GaussianProcess:
         return _tile(seen, int(free[np.argmax(self._values(seen, free))]))
 
     def _values(self, seen: Seen, free: npt.NDArray[np.intp]) -> Values:
-        """How much each free tile is worth looking at."""
+        """Returns the value of the acquisition function for each free tile."""
         target = _INTERESTS[self.interest](self, seen)
         spread = float(target.std())
         target = (target - target.mean()) / (spread if spread > 0 else 1.0)
@@ -133,7 +133,7 @@ class GaussianProcess:
         return result
 
     def _model(self, places: Values, target: Values) -> Any:
-        """The process, its kernel fitted again where it is time."""
+        """Returns the process, with a new fit of its kernel if it is due."""
         processes, kernels = needed("sklearn.gaussian_process"), needed("sklearn.gaussian_process.kernels")
         again = self._kernel is None or len(target) >= self._fitted + self.refit
         if self._kernel is None:
@@ -141,7 +141,7 @@ class GaussianProcess:
         optimizer = "fmin_l_bfgs_b" if again else None
         model = processes.GaussianProcessRegressor(self._kernel, alpha=1e-8, optimizer=optimizer)
         with warnings.catch_warnings():
-            # Kernels at a bound are no fault here: a field without structure has one.
+            # The fit warns about a kernel at a bound, which is the correct kernel of a field without structure.
             warnings.simplefilter("ignore")
             model.fit(places, target)
         if again:
@@ -177,7 +177,7 @@ _INTERESTS: dict[str, Callable[[GaussianProcess, Seen], Values]] = {
 
 
 def tile_features(tile: Acquired) -> Values:
-    """Variance of the intensity, peaks per nm^2, and relative spread of the intensities of the peaks, (3,)."""
+    """Returns the variance of the intensity, the peaks per nm^2, and the relative spread of the peak intensities, (3,)."""
     intensity = _intensity(tile)
     peaks = find_peaks(intensity, tile.pixel_nm)
     level = float(peaks.intensity.mean()) if len(peaks.intensity) else 0.0
@@ -186,7 +186,7 @@ def tile_features(tile: Acquired) -> Values:
 
 
 def _intensity(tile: Acquired) -> Values:
-    """Fractions of the beam, [y, x]."""
+    """Returns the image in fractions of the beam, [y, x]."""
     return tile.image.astype(np.float64) * tile.scale + tile.offset
 
 
@@ -200,7 +200,7 @@ def _expected_improvement(mean: Values, deviation: Values, best: float) -> Value
 
 
 def _sample(mean: Values, covariance: Values, random: np.random.Generator) -> Values:
-    """One sample of a normal distribution of many values."""
+    """Draws one sample of a multivariate normal distribution."""
     jitter = 1e-6 * max(float(np.trace(covariance)) / len(mean), 1e-12)
     for _ in range(6):
         try:

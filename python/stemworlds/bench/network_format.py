@@ -1,4 +1,4 @@
-"""What the networks that the package trains take and give: names of inputs and outputs, and the card in each file."""
+"""The format of the networks that the package trains: inputs, outputs, and the card in each file."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ import numpy as np
 
 from ..errors import FormatError
 
-#: ``counts`` float32 ``[tile, 1, y, x]``, electrons; ``conditions`` float32 ``[tile, 6]``: dose (e/A^2), electrons a pixel, edge of a pixel
+#: ``counts`` float32 ``[tile, 1, y, x]``, electrons; ``conditions`` float32 ``[tile, 6]``: dose (e/A^2), electrons per pixel, edge of a
+#: pixel
 #: (nm), inner and outer angle of the detector (mrad), thickness (nm).
 INPUTS = ("counts", "conditions")
-#: float32 ``[tile, channel, y / 2, x / 2]``: chance of a column's middle in a cell of two pixels; its offset (x, y) from the cell's middle in
-#: cells; chances of kinds; evidence by type of defect, the log likelihood of k of them being ``k toward - k^2 sharpness / 2``; chances of phases, of a
-#: particle.
+#: float32 ``[tile, channel, y / 2, x / 2]``, for cells of 2 x 2 pixels: probability that the cell contains the centre of a column; offset
+#: (x, y)
+#: of the column from the centre of the cell, in cells; probabilities of kinds; evidence by type of defect, with the log likelihood
+#: ``k toward - k^2 sharpness / 2`` of k defects; probabilities of phases; probability of a particle.
 OUTPUTS = ("column", "offset", "kind", "toward", "sharpness", "phase", "particle")
 #: Key of the card in the metadata of an ONNX file.
 KEY = "stemworlds"
@@ -25,13 +27,13 @@ _VERSION = 1
 
 @dataclass(frozen=True)
 class Card:
-    """What a network was trained for.
+    """The description of a network.
 
     Attributes:
-        kinds: names of kinds of columns, ``"O Ti"``.
-        usual: chances of 0, 1, ... defects ``[kind, type, number]``, for fields without a recipe.
+        kinds: names of the kinds of columns, for example ``"O Ti"``.
+        usual: prior probabilities of 0, 1, ... defects ``[kind, type, number]``, for fields without a recipe.
         size_px: edge of a tile.
-        about: how it was trained: config, steps, versions.
+        about: facts about the training: config, steps, versions.
     """
 
     kinds: tuple[str, ...]
@@ -40,15 +42,15 @@ class Card:
     about: Mapping[str, Any] = field(default_factory=dict)
 
     def table(self) -> dict[str, Any]:
-        """As it stands in the file."""
+        """Returns the card as a table for the file."""
         return {"version": _VERSION, "kinds": list(self.kinds), "usual": self.usual, "size_px": self.size_px, "about": dict(self.about)}
 
     @staticmethod
     def read(path: str, text: str | None) -> Card:
-        """The card of a file.
+        """Reads the card of a file.
 
         Raises:
-            FormatError: without one, or for one of another version.
+            FormatError: if the file has no card, or a card of another version.
         """
         if text is None:
             raise FormatError(f"{path}: no network that stemworlds trained: it has no card; OnnxAnalyst runs other networks")

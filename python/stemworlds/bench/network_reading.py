@@ -1,4 +1,4 @@
-"""Runs networks that the package trained: what each tile says of its columns."""
+"""Runs networks that the package trained, and reads the columns of a tile from their outputs."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from .onnx_session import opened
 
 Values = npt.NDArray[np.float64]
 
-#: Networks see pixels of this edge at least; finer ones are added up first, which loses nothing that they could see.
+#: Least edge of a pixel in a network's input. Smaller pixels are summed first, which loses no detail that a network uses.
 _LEAST_PIXEL_NM = 0.0105
 
 
 @dataclass(frozen=True, eq=False)
 class SeenColumns:
-    """What a tile shows.
+    """Columns, phases and particles that networks find in a tile.
 
     Attributes:
         places_px: (N, 2), x and y; pixel centres are whole numbers.
-        sure: (N,), chance that there is a column.
-        kinds: (N, kinds), chances.
-        toward, sharpness: (N, types), the log likelihood of k defects of a type is ``k toward - k^2 sharpness / 2``.
-        phases: chances of phases ``[phase, y, x]``, of cells of ``cell_px``.
-        particles: chances of a particle ``[y, x]`` of the same cells.
+        sure: (N,), probability that the column exists.
+        kinds: (N, kinds), probabilities of the kinds.
+        toward, sharpness: (N, types), evidence. The log likelihood of k defects of a type is ``k toward - k^2 sharpness / 2``.
+        phases: probabilities of the phases ``[phase, y, x]`` in cells with the edge ``cell_px``.
+        particles: probability of a particle ``[y, x]`` in these cells.
         cell_px: edge of a cell in pixels.
     """
 
@@ -45,15 +45,15 @@ class SeenColumns:
 
 
 class Reader:
-    """Networks whose evidence is averaged.
+    """Runs one or several networks, and averages their outputs.
 
     Args:
-        models: path of an ONNX file, or several, of networks that tell the same kinds apart.
-        least: the least chance of a column.
+        models: path of an ONNX file, or several paths. All networks have to distinguish the same kinds.
+        least: the least probability of a column.
 
     Raises:
-        FileMissing, FormatError: for files that are no networks of this package.
-        InvalidValue: for networks that know other kinds.
+        FileMissing, FormatError: for a file that is missing, or is no network of this package.
+        InvalidValue: if no network is given, or the networks differ in kinds or size of tile.
     """
 
     def __init__(self, models: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], least: float) -> None:
@@ -69,7 +69,7 @@ class Reader:
                 raise _invalid("models", f"{path}: knows {', '.join(card.kinds)} in tiles of {card.size_px}; the first knows {', '.join(self.card.kinds)}")
 
     def read(self, counts: Values, electrons: float, pixel_nm: float, facts: tuple[float, float, float]) -> SeenColumns:
-        """What counts ``[y, x]`` of a tile say; ``facts`` are inner and outer angle in mrad and thickness in nm."""
+        """Analyses the counts ``[y, x]`` of a tile. ``facts`` are inner and outer angle in mrad, and thickness in nm."""
         size = self.card.size_px
         if counts.shape != (size, size):
             raise _invalid("models", f"this tile has {counts.shape[0]} x {counts.shape[1]} pixels, the network takes {size} x {size}")
@@ -100,7 +100,7 @@ class Reader:
 
 
 def _opened(path: str) -> tuple[Any, Card]:
-    """A session on one thread, and the network's card."""
+    """Opens a session on one thread. Returns it with the network's card."""
     session = opened(path)
     card = Card.read(path, session.get_modelmeta().custom_metadata_map.get(KEY))
     names = {one.name for one in session.get_outputs()}
@@ -110,7 +110,7 @@ def _opened(path: str) -> tuple[Any, Card]:
 
 
 def _together(pixel_nm: float, size: int) -> int:
-    """How many pixels along an edge are added up: a power of two."""
+    """Returns the number of pixels along an edge that are summed, a power of two."""
     together = 1
     while pixel_nm * together < _LEAST_PIXEL_NM and size // (2 * together) >= 16:
         together *= 2
@@ -118,7 +118,7 @@ def _together(pixel_nm: float, size: int) -> int:
 
 
 def _added(counts: Values, together: int) -> tuple[Values, int]:
-    """Counts of larger pixels, and how many of them lie mirrored about each edge, so that the shape stays."""
+    """Sums pixels. Returns the counts with mirrored margins, which keep the shape, and the width of the margins in pixels."""
     if together == 1:
         return counts, 0
     size = counts.shape[0]
@@ -128,7 +128,7 @@ def _added(counts: Values, together: int) -> tuple[Values, int]:
 
 
 def _maxima(heat: Values, least: float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Cells that are not below ``least`` nor any of their neighbours; of equal ones the first."""
+    """Returns the cells that are local maxima and at least ``least``. Of equal neighbours it returns the first."""
     wide = np.pad(heat, 1, constant_values=-1.0)
     height, width = heat.shape
     top = heat >= least
@@ -142,7 +142,7 @@ def _maxima(heat: Values, least: float) -> tuple[npt.NDArray[np.intp], npt.NDArr
 
 
 def _between(maps: Values, x: Values, y: Values) -> Values:
-    """Values of maps ``[channel, y, x]`` at places in cells, linear between their middles: (N, channels)."""
+    """Interpolates maps ``[channel, y, x]`` linearly between the centres of cells: (N, channels)."""
     height, width = maps.shape[1:]
     x, y = np.clip(x - 0.5, 0, width - 1), np.clip(y - 0.5, 0, height - 1)
     left, top = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)

@@ -1,4 +1,4 @@
-"""An analyst that runs networks which the package trained, and forecasts each column."""
+"""An analyst that runs networks from ``stemworlds train``, and forecasts the defects of each column."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ __all__ = ["NeuralAnalyst"]
 
 Values = npt.NDArray[np.float64]
 
-#: Columns nearer than this are one, seen in two tiles.
+#: Two columns closer than this are one column, seen in two tiles.
 _SAME_NM = 0.06
-#: Chance of any defect below which a kind of column has none.
+#: Least probability of a defect. A kind of column with a lower probability has no defects.
 _NEVER = 1e-4
-#: Parts of a tile, along an edge, of which phases are told apart.
+#: Number of parts along the edge of a tile in the phase map.
 _PHASE_PARTS = 4
-#: Inner and outer angle (mrad) and thickness (nm) where the world has no recipe: those of the shipped recipes.
+#: Inner and outer angle (mrad) and thickness (nm) for worlds without a recipe: the values of the shipped recipes.
 _USUAL_FACTS = (68.0, 200.0, 10.0)
 
 
 @dataclass(eq=False)
 class _Column:
-    """What all tiles say of a column."""
+    """Evidence of all tiles for one column."""
 
     place: Values
     looks: int
@@ -49,17 +49,17 @@ class _Column:
 
 
 class NeuralAnalyst(TileByTile):
-    """Declares, for each column that networks see, the posterior chances of 0, 1, 2 ... defects.
+    """Declares the posterior probabilities of 0, 1, 2 ... defects for each column that the networks find.
 
-    Dose, electrons a pixel and the pixel's edge come from each observation; the detector's angles and the thickness from the recipe, or from
-    you. The networks say what the counts tell (a likelihood); what is usual, the prior, comes from the recipe's specimens for training, as
-    that of the agents ``Prior`` and ``Ideal``. Where the world has no recipe it is what was usual in training. Of several recordings of a
-    column the evidence adds up.
+    Dose, electrons per pixel and edge of a pixel come from each observation. The detector's angles and the thickness come from the recipe
+    or from the arguments. The networks give the likelihood, which depends on the counts alone. The prior comes from the recipe's specimens
+    of the training split, as for the agents ``Prior`` and ``Ideal``; without a recipe it is the prior of the training. Evidence from
+    several recordings of a column is added.
 
     Args:
-        models: path of an ONNX file that ``stemworlds train`` wrote, or several: the members of an ensemble, whose evidence is averaged.
-        least: the least chance of a column.
-        detector_mrad, thickness_nm: in place of the recipe's.
+        models: path of an ONNX file from ``stemworlds train``, or several paths. The evidence of an ensemble is averaged.
+        least: the least probability of a column.
+        detector_mrad, thickness_nm: angles ``(inner, outer)`` and thickness, instead of the recipe's values.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class NeuralAnalyst(TileByTile):
         self._world: Any = None
 
     def attach(self, world: Any) -> None:
-        """Takes the environment that is played; only its recipe is used."""
+        """Stores the environment of the episode. Only its recipe is used."""
         self._world = world
 
     def begin(self) -> None:
@@ -124,7 +124,7 @@ class NeuralAnalyst(TileByTile):
         )
 
     def uncertainty(self, tiles: Sequence[Acquired]) -> Values:
-        """Mean entropy of the forecasts of each tile's columns, in bits."""
+        """Returns the mean entropy of the forecasts for each tile's columns, in bits."""
         self._follow(tiles)
         return np.array([float(entropy_bits(self._forecasts(own)[0].T).mean()) if own else 0.0 for own in self._of_tiles])
 
@@ -137,7 +137,7 @@ class NeuralAnalyst(TileByTile):
         return float(inner), float(outer), float(self.thickness_nm or thickness)
 
     def _add(self, seen: SeenColumns, n: int, place: Values) -> int:
-        """Adds what a tile says of a column; returns the column's number."""
+        """Adds the evidence of a tile for a column. Returns the column's number."""
         x, y = place.tolist()
         square = (math.floor(x / _SAME_NM), math.floor(y / _SAME_NM))
         near = [m for c in (-1, 0, 1) for r in (-1, 0, 1) for m in self._squares.get((square[0] + c, square[1] + r), ())]
@@ -152,13 +152,13 @@ class NeuralAnalyst(TileByTile):
         return len(self._columns) - 1
 
     def _forecasts(self, numbers: Sequence[int]) -> tuple[Values, Values]:
-        """Chances of numbers of defects in columns, of the target or of all types, and expected numbers of each type."""
+        """Returns the probabilities of numbers of defects, of the target or of all types, and the expected numbers of each type."""
         own = [self._columns[number] for number in numbers]
         places, kinds = np.array([column.place for column in own]), np.array([column.kinds for column in own])
         of_types = []
         for n, target in enumerate(DEFECT_TYPES):
             prior = self._prior_chances(places, kinds, n, target)
-            # Of defects that no specimen has networks have learned nothing.
+            # Networks cannot learn a type of defect that no training specimen contains, so their evidence for it is ignored.
             possible = (1 - prior[:, :1] > _NEVER) if self._prior is None else np.full((len(own), 1), self._prior.rates[target].any())
             toward, sharpness = (possible * np.array([getattr(column, name)[n] for column in own])[:, None] for name in ("toward", "sharpness"))
             of_types.append(posterior(prior, toward, sharpness))
@@ -182,7 +182,8 @@ class NeuralAnalyst(TileByTile):
         return found
 
     def _phase_map(self) -> npt.NDArray[np.int64] | None:
-        """Phases of the field in parts of tiles; where nothing was seen what is usual, if a recipe says so."""
+        """Returns the phases of the field in parts of tiles. Parts that were not seen get the recipe's usual phase, if there is a
+        recipe."""
         if not self.field.phases:
             return None
         rows, columns = (count * _PHASE_PARTS for count in self.field.grid)
@@ -202,7 +203,8 @@ class NeuralAnalyst(TileByTile):
 
 
 def posterior(prior: Values, toward: Values, sharpness: Values) -> Values:
-    """Chances of 0, 1, ... defects, (N, K): the prior's times the likelihood, whose logarithm is ``k toward - k^2 sharpness / 2``."""
+    """Returns the probabilities of 0, 1, ... defects, (N, K): prior times likelihood, with the log likelihood ``k toward - k^2 sharpness /
+    2``."""
     number = np.arange(prior.shape[1])
     log = np.log(np.maximum(prior, 1e-300)) + number * toward - number**2 * sharpness / 2
     powers = np.exp(log - log.max(axis=1, keepdims=True))
@@ -211,7 +213,7 @@ def posterior(prior: Values, toward: Values, sharpness: Values) -> Values:
 
 
 def _sums(first: Values, second: Values) -> Values:
-    """Chances of sums of two independent numbers; the last class is that many or more."""
+    """Returns the probabilities of the sum of two independent numbers. The last class means "that many or more"."""
     classes = max(first.shape[1], second.shape[1])
     out = np.zeros((len(first), classes))
     for n in range(first.shape[1]):
@@ -221,7 +223,7 @@ def _sums(first: Values, second: Values) -> Values:
 
 
 def _regions(seen: SeenColumns, tile: Acquired) -> list[tuple[float, float, float]]:
-    """Particles of a tile: x, y and equivalent diameter in nm."""
+    """Returns the particles of a tile: x, y and equivalent diameter in nm."""
     height = tile.image.shape[0]
     found = find_regions(seen.particles > 0.5)
     return [

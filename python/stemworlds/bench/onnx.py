@@ -24,21 +24,22 @@ Values = npt.NDArray[np.float64]
 
 
 class OnnxAnalyst(TileByTile):
-    """Finds atoms and defects with any network that gives each pixel of a tile a score for each class.
+    """Finds atoms and defects with any network that returns a score of each class for each pixel.
 
-    The network takes float32 ``(1, 1, 128, 128)``, the tile as it is shown, in [0, 1]. Its output ``(1, classes, 128, 128)`` may be logits or
-    probabilities. Atoms are the maxima of one minus the background; each gets the class with the greatest probability there. A second output
-    ``(1, phases)`` or ``(1, phases, 128, 128)`` names the phase of the tile. Of several networks the probabilities are averaged.
+    The input of the network is float32 ``(1, 1, 128, 128)``, the tile of the observation in [0, 1]. Its output ``(1, classes, 128, 128)``
+    contains logits or probabilities. Atoms are the maxima of one minus the background; each gets the class with the greatest probability at
+    its place. A second output ``(1, phases)`` or ``(1, phases, 128, 128)`` gives the phase of the tile. The probabilities of several
+    networks are averaged.
 
     Args:
-        models: path of a network, or several.
-        classes: what the channels mean; the first is the background. ``vacancy`` and ``substitution`` are declared.
-        output, phase_output: names of the outputs; by default the first, and no phases.
+        models: path of a network, or several paths.
+        classes: names of the channels; the first is the background. ``vacancy`` and ``substitution`` are declared.
+        output, phase_output: names of the outputs; by default the first output, and no phases.
         probabilities: the outputs are probabilities, not logits.
         least: the least probability of an atom.
 
     Raises:
-        InvalidValue: when it runs, for a network whose outputs have another shape, or are not all numbers.
+        InvalidValue: when it runs, if the outputs of a network have a wrong shape, or contain values that are no numbers.
     """
 
     def __init__(
@@ -96,12 +97,12 @@ class OnnxAnalyst(TileByTile):
         return Findings(counts=None, defects=self._defects.arrays(), phases=phases, columns=columns)
 
     def uncertainty(self, tiles: Sequence[Acquired]) -> Values:
-        """Mean entropy of the classes at the atoms of each tile, in bits."""
+        """Returns the mean entropy of the classes at the atoms of each tile, in bits."""
         self._follow(tiles)
         return np.array(self._uncertain)
 
     def _run(self, image: npt.NDArray[np.float32]) -> tuple[Values, int | None]:
-        """Probabilities (classes, y, x), and the phase of the tile."""
+        """Runs the networks. Returns the probabilities (classes, y, x), and the phase of the tile."""
         taken = np.ascontiguousarray(image[np.newaxis, np.newaxis], dtype=np.float32)
         total: Values = np.zeros((len(self.classes), *image.shape))
         phases: Values = np.zeros(1)
@@ -123,7 +124,11 @@ class OnnxAnalyst(TileByTile):
 
 
 def _numbers(chances: Values, what: str) -> Values:
-    """Probabilities, if all of them are numbers."""
+    """Returns the probabilities.
+
+    Raises:
+        InvalidValue: if one of them is no number.
+    """
     if not np.isfinite(chances).all():
         raise _invalid("models", f"the network gives {what} that is no number (NaN or infinite); was its training sound?")
     return chances
@@ -137,7 +142,7 @@ def _softmax(scores: Values) -> Values:
 
 
 def _network(path: str, output: str | None, phase_output: str | None) -> tuple[Any, list[str]]:
-    """A session on one thread, and the outputs that are asked for."""
+    """Opens a session on one thread. Returns it with the names of the outputs to compute."""
     session = opened(path)
     names = [given.name for given in session.get_outputs()]
     wanted = [names[0] if output is None else output, *([] if phase_output is None else [phase_output])]

@@ -1,4 +1,4 @@
-"""Networks in the ONNX format, opened by onnxruntime."""
+"""Opens networks in the ONNX format with onnxruntime."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from .extras import needed
 
 
 def opened(path: str) -> Any:
-    """A session on one thread, on the processor.
+    """Opens a session on one CPU thread.
 
     Raises:
-        FileMissing, FormatError: for a file that is not there, or is no network.
+        FileMissing, FormatError: for a file that is missing, or is no network.
     """
     runtime = needed("onnxruntime")
     if not os.path.exists(path):

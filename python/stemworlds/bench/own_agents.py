@@ -1,4 +1,4 @@
-"""Agents that are not of this package: ``"mypackage.module:Class"``, and objects from Python."""
+"""Agents from outside this package: ``"mypackage.module:Class"``, and Python objects."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ if TYPE_CHECKING:
 
     from .agents import Plays
 
-#: Keys of the tables of such agents. ``folder`` is where modules are looked for first, ``pickle`` an object in base64.
+#: Keys of the tables of agents from outside. ``folder`` is searched for modules first. The key ``pickle`` holds an object in base64.
 PYTHON_KEYS = ("name", "python", "options", "folder")
 
 
 def is_path(given: str) -> bool:
-    """Whether a text names something of a module: ``"package.module:Class"``."""
+    """Returns whether a text has the form ``"package.module:Class"``."""
     module, colon, name = given.partition(":")
     return bool(colon) and all(part.isidentifier() for part in (*module.split("."), *name.split(".")))
 
 
 def found_at(path: str, folder: str | None = None) -> Callable[..., Any]:
-    """What ``"package.module:Class"`` names.
+    """Imports the class or function ``"package.module:Class"``.
 
     Args:
         path: module and name.
-        folder: where modules are looked for besides Python's own path.
+        folder: a folder that is searched for modules before Python's path.
 
     Raises:
-        InvalidValue: if there is no such module, or nothing of that name in it.
+        InvalidValue: if the module cannot be imported, or contains no class or function of this name.
     """
     module, _, name = path.partition(":")
     with _on_path(folder):
@@ -72,18 +72,25 @@ def _on_path(folder: str | None) -> Iterator[None]:
 
 
 def check_options(agent: str, path: str, maker: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    """Refuses options that a class or function does not take."""
+    """Checks options against the parameters of a class or function.
+
+    Raises:
+        InvalidValue: for an option that the class or function does not accept.
+    """
     try:
         inspect.signature(maker).bind(**options)
     except TypeError as error:
         raise _invalid("agent", f"agent {agent!r}: {path!r}: {error}") from error
     except ValueError:
-        # Of some classes nothing is known before they are called.
+        # Some classes of compiled modules have no signature, so their options cannot be checked.
         return
 
 
 def source_digest(path: str, folder: str | None = None) -> str:
-    """Names what the module of ``path`` holds, so that another text is another agent; what that module imports is not looked at."""
+    """Returns a hash of the source of the module of ``path``. A changed source is therefore another agent.
+
+    Modules that it imports do not change the hash.
+    """
     module = path.partition(":")[0]
     with _on_path(folder):
         try:
@@ -97,7 +104,7 @@ def source_digest(path: str, folder: str | None = None) -> str:
 
 
 def table_of(agent: Any) -> dict[str, Any]:
-    """An agent object as a table that goes to other processes.
+    """Converts an agent object to a table that can be sent to other processes.
 
     Raises:
         InvalidValue: if it has no name or no method ``run``, or cannot be pickled.
@@ -107,7 +114,7 @@ def table_of(agent: Any) -> dict[str, Any]:
     if not isinstance(name, str) or not name or not callable(getattr(agent, "run", None)):
         raise _invalid("agent", f"agent {agent!r}: expected a name, a table, or an object with a name and a method run(env, seed), as bench.Agent")
     try:
-        # A protocol of its own, so that the key of an episode does not depend on the version of Python.
+        # The protocol is fixed, so that the key of an episode does not depend on the version of Python.
         held = pickle.dumps(agent, protocol=4)
     except Exception as error:
         raise _invalid("agent", f"agent {name!r}: cannot be pickled, as other processes need it: {error}; define its classes in a module") from error
@@ -115,7 +122,7 @@ def table_of(agent: Any) -> dict[str, Any]:
 
 
 def unpickled(table: Mapping[str, Any]) -> Plays:
-    """The agent of :func:`table_of`."""
+    """Restores the agent from a table of :func:`table_of`."""
     try:
         made: Plays = pickle.loads(base64.b64decode(table["pickle"]))
     except Exception as error:
@@ -125,7 +132,7 @@ def unpickled(table: Mapping[str, Any]) -> Plays:
 
 
 def essence(table: Mapping[str, Any]) -> dict[str, Any]:
-    """What makes an own agent, wherever it lies: for keys of episodes and rows of results."""
+    """Returns the identity of an agent, without the folder of its files, for keys of episodes and rows of results."""
     kept = {key: value for key, value in table.items() if key not in ("folder", "pickle")}
     if "pickle" in table:
         kept["state"] = hashlib.sha256(table["pickle"].encode()).hexdigest()[:16]

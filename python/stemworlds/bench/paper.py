@@ -1,4 +1,4 @@
-"""Numbers of the STEMGym paper, to be set beside ours. Its worlds are others, so they give a direction and no target."""
+"""Numbers of the STEMGym paper, for comparison. Its worlds differ from ours, so the numbers are no targets."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Told(NamedTuple):
-    """What the paper says of an agent in a task: mean and deviation of DEC-AUC."""
+    """The paper's result for an agent in a task: mean and deviation of DEC-AUC."""
 
     mean: float
     deviation: float
@@ -30,10 +30,10 @@ _MAIN: dict[str, tuple[tuple[float, float] | None, ...]] = {
     "SAC": ((0.041, 0.049), (0, 0), (0, 0), (0.690, 0.378)),
     "SAC+Analyst": ((0.259, 0.139), (0.184, 0.027), (0.120, 0.096), (0, 0)),
 }
-#: Those have a trained analyst in the paper.
+#: Agents with a trained analyst in the paper.
 TRAINED = frozenset({"STEMAgent", "CS-20", *(name for name in _MAIN if name.endswith("+Analyst"))})
 
-#: Spearman's rho of DEC-AUC and other metrics, by task.
+#: Spearman's rho between DEC-AUC and other metrics, by task.
 AGREEMENT: dict[str, dict[str, float]] = {
     "final_score": dict(zip(_TASKS, (0.880, 0.900, 0.931, 0.917), strict=True)),
     "time_to_threshold": dict(zip(_TASKS, (0.097, 0.861, 0.641, 0.829), strict=True)),
@@ -59,12 +59,12 @@ LATENCY_MS: dict[str, float] = {
     "PPO+Analyst": 71742.0,
     "SAC": 3021.6,
 }
-#: Largest difference of DEC-AUC at so many checkpoints.
+#: Largest difference of DEC-AUC between two numbers of checkpoints.
 DISCRETISATION = {(20, 50): 0.0161, (50, 100): 0.0001}
 
 
 def told(agent: str, task: str) -> Told | None:
-    """What the paper says of an agent in a task, at a budget of 5000."""
+    """Returns the paper's result for an agent in a task, at a budget of 5000 electrons per square Angstrom; ``None`` if it has none."""
     numbers = _MAIN.get(agent)
     if numbers is None or task not in _TASKS:
         return None

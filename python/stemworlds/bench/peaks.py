@@ -1,4 +1,4 @@
-"""Peaks of a tile: where its atoms are."""
+"""Finds the peaks of a tile, which are the places of its atomic columns."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from .extras import needed
 
 Values = npt.NDArray[np.float64]
 
-#: Width of the Gaussian that smooths noise away: half a typical column.
+#: Width of the Gaussian against noise: half of a typical column.
 _SMOOTHING_NM = 0.03
-#: Atomic columns are farther apart.
+#: Least distance of two peaks. Atomic columns have larger distances.
 _APART_NM = 0.1
 
 
@@ -22,8 +22,8 @@ class Peaks:
     """Peaks of a tile.
 
     Attributes:
-        row_px, column_px: float64 (N,), places to a fraction of a pixel; pixel centres are whole numbers.
-        intensity: float64 (N,), of the smoothed image.
+        row_px, column_px: float64 (N,), places with subpixel accuracy; pixel centres are whole numbers.
+        intensity: float64 (N,), intensities of the smoothed image.
     """
 
     row_px: Values
@@ -32,7 +32,7 @@ class Peaks:
 
 
 def find_peaks(image: Values, pixel_nm: float) -> Peaks:
-    """Maxima of the smoothed image above its mean, 0.1 nm apart, in the order of the rows."""
+    """Finds maxima of the smoothed image above its mean, at least 0.1 nm apart, sorted by row."""
     ndimage = needed("scipy.ndimage")
     smooth: Values = ndimage.gaussian_filter(image, max(_SMOOTHING_NM / pixel_nm, 0.7), mode="nearest")
     reach = 2 * max(round(_APART_NM / pixel_nm), 1) + 1
@@ -47,7 +47,7 @@ def find_peaks(image: Values, pixel_nm: float) -> Peaks:
 
 
 def _vertex(image: Values, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp], axis: int) -> Values:
-    """Distance from pixels to the vertices of parabolas through them and their neighbours; 0 at the edge."""
+    """Returns the distance from each pixel to the vertex of the parabola through it and its neighbours; 0 at the edge."""
     at = (rows, columns)[axis]
     inside = (at > 0) & (at < image.shape[axis] - 1)
     step = np.where(inside, 1, 0)

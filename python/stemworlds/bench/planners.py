@@ -1,4 +1,4 @@
-"""Planners: how much to explore, and when to be done."""
+"""Planners choose the amount of exploration, and the end of an episode."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
 
 __all__ = ["LanguageModelPlanner", "ModePlanner", "NoPlanner", "PlannerLimits"]
 
-#: Exploration of each mode, the paper's.
+#: The STEMGym paper's exploration parameter of each mode.
 BETAS: Mapping[str, float] = {"SURVEY": 3.0, "INVESTIGATE": 2.0, "CHARACTERIZE": 0.5, "CENSUS": 1.0, "TERMINATE": 1.0}
 
 
 @dataclass(frozen=True)
 class PlannerLimits:
-    """Where one mode becomes the next. The defaults are the paper's.
+    """Limits at which the mode changes. The defaults are the paper's.
 
     Attributes:
-        survey_coverage: share of the tiles that the survey sees.
+        survey_coverage: share of acquired tiles that ends the survey.
         investigate_defects: number of defects that ends the investigation.
-        census_dose: share of the budget below which the census begins, whatever the mode.
-        terminate_dose: share of the budget below which the episode ends.
+        census_dose: remaining share of the budget below which the census begins, in any mode.
+        terminate_dose: remaining share of the budget below which the episode ends.
     """
 
     survey_coverage: float = 0.15
@@ -46,12 +46,13 @@ class PlannerLimits:
 
     @classmethod
     def rules(cls) -> PlannerLimits:
-        """Those of the ablation "rule planner". The paper does not give its own; these are ours: an early, short survey."""
+        """Returns the limits of the ablation "rule planner": an early, short survey. The paper does not list its limits; these are our
+        choice."""
         return cls(survey_coverage=0.01, investigate_defects=10, census_dose=0.40, terminate_dose=0.02)
 
 
 class NoPlanner:
-    """Explores evenly until the budget is spent."""
+    """Explores with a constant parameter until the budget is spent."""
 
     def __init__(self, beta: float = 2.0) -> None:
         self._plan = Plan("NONE", beta)
@@ -64,9 +65,10 @@ class NoPlanner:
 
 
 class ModePlanner:
-    """The machine of STEMAgent: SURVEY, INVESTIGATE, CHARACTERIZE, CENSUS, TERMINATE.
+    """The state machine of STEMAgent: SURVEY, INVESTIGATE, CHARACTERIZE, CENSUS, TERMINATE.
 
-    It goes on by coverage and defects found, never back; a budget below ``census_dose`` or ``terminate_dose`` comes first.
+    Coverage and the number of found defects advance the mode; it never returns to an earlier one. A budget below ``census_dose`` or
+    ``terminate_dose`` takes precedence.
     """
 
     def __init__(self, limits: PlannerLimits | None = None) -> None:
@@ -89,11 +91,11 @@ class ModePlanner:
 
 
 class LanguageModelPlanner:
-    """Asks a language model for the mode, and takes that of :class:`ModePlanner` where the reply cannot be read.
+    """Asks a language model for the mode. If the reply cannot be read, it uses the mode of :class:`ModePlanner`.
 
     Args:
         endpoint: an OpenAI-compatible service.
-        every: asks once for that many acquisitions.
+        every: number of acquisitions from one question to the next.
     """
 
     def __init__(self, endpoint: Endpoint, *, every: int = 5) -> None:
@@ -122,7 +124,7 @@ class LanguageModelPlanner:
         return rules if self._last is None else plan_of(self._last)
 
     def notes(self) -> dict[str, float]:
-        """For the record of the episode."""
+        """Returns numbers for the record of the episode."""
         return {"planner_calls": self.calls, "planner_fallbacks": self.fallbacks}
 
     def _ask(self, seen: Seen) -> str | None:

@@ -1,4 +1,4 @@
-"""A request over HTTP to a service that need not be trusted: one address, an end in time, and a reply that is not too long."""
+"""Sends HTTP requests to an untrusted service, with limits on address, time and length of the reply."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from typing import IO, Any
 
 __all__ = ["LONGEST_REPLY", "post"]
 
-#: Longest reply in bytes. What a model says is a hundredth of it.
+#: Longest reply in bytes. A usual reply of a model has a hundredth of this length.
 LONGEST_REPLY = 1_000_000
 
 
 def post(url: str, body: bytes, headers: dict[str, str], seconds: float) -> tuple[int, bytes]:
-    """Sends a request; returns the status of the reply and its bytes, at most :data:`LONGEST_REPLY` and one more.
+    """Sends a request. Returns the status of the reply and its bytes, at most :data:`LONGEST_REPLY` + 1.
 
-    No redirect is followed: what the headers hold is for this address alone.
+    No redirect is followed, so the headers, with their key, are sent to this address alone.
 
     Args:
-        seconds: for all of it, from the connection to the last byte. Only the search for the address of a name comes on top.
+        seconds: time limit from the connection to the last byte. The look-up of the host name is not included.
 
     Raises:
-        urllib.error.HTTPError: for any status but those of success.
-        OSError, http.client.HTTPException: where there is no answer, or none in time.
+        urllib.error.HTTPError: for any status except success.
+        OSError, http.client.HTTPException: if there is no complete answer in time.
     """
     end = time.monotonic() + seconds
     opener = urllib.request.build_opener(_Stay, _Http(end), _Https(end))
@@ -37,7 +37,7 @@ def post(url: str, body: bytes, headers: dict[str, str], seconds: float) -> tupl
 
 
 class _Stay(urllib.request.HTTPRedirectHandler):
-    """Follows no redirect: they end as errors do."""
+    """Treats redirects as errors."""
 
     def http_error_302(self, req: urllib.request.Request, fp: IO[bytes], code: int, msg: str, headers: http.client.HTTPMessage) -> None:
         return None
@@ -64,10 +64,10 @@ class _Https(urllib.request.HTTPSHandler):
 
 
 def _left(end: float) -> float:
-    """Seconds until the end.
+    """Returns the seconds until the end.
 
     Raises:
-        TimeoutError: after it.
+        TimeoutError: if the end has passed.
     """
     left = end - time.monotonic()
     if left <= 0:
@@ -76,7 +76,7 @@ def _left(end: float) -> float:
 
 
 class _Connection(http.client.HTTPConnection):
-    """A connection that has an end in time, however the bytes come."""
+    """A connection with a time limit for the whole exchange, also for a slow sequence of bytes."""
 
     def __init__(self, end: float, host: str, **options: Any) -> None:
         super().__init__(host, **options)
@@ -90,11 +90,11 @@ class _Connection(http.client.HTTPConnection):
 
 
 class _SafeConnection(_Connection, http.client.HTTPSConnection):
-    """The same over TLS."""
+    """A connection with a time limit, over TLS."""
 
 
 def _connected(end: float, address: tuple[str, int], _timeout: Any = None, source: Any = None) -> socket.socket:
-    """A connection to one of the addresses of a host."""
+    """Connects to one of the addresses of a host."""
     last: OSError | None = None
     for family, kind, protocol, _, place in socket.getaddrinfo(*address, type=socket.SOCK_STREAM):
         made = socket.socket(family, kind, protocol)
@@ -117,7 +117,7 @@ class _Response(http.client.HTTPResponse):
 
 
 class _Timed:
-    """What a response reads of its connection: each part in the time that is left."""
+    """A stream for a response. Each read is limited to the remaining time."""
 
     def __init__(self, connection: socket.socket, end: float) -> None:
         self._connection, self._end = connection, end
@@ -129,7 +129,7 @@ class _Timed:
 class _Parts(io.RawIOBase):
     def __init__(self, connection: socket.socket, end: float) -> None:
         self._connection, self._end = connection, end
-        # Closes the connection with itself, not when the request has been sent.
+        # The file keeps the connection open after the request has been sent, and closes it at its own end.
         self._file = connection.makefile("rb", buffering=0)
 
     def readable(self) -> bool:

@@ -1,4 +1,4 @@
-"""What is known of a recipe's specimens before any electron: counted on specimens of the split for training."""
+"""The prior of a recipe: probabilities of defects before any image, counted in specimens of the training split."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from .columns import DEFECT_TYPES, Columns, columns_of
 Values = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
-#: Seeds of the specimens that are counted. Those of the split for training are even.
+#: Seeds of the counted specimens. The seeds of the training split are even.
 TRAINING_SEEDS = (2, 4, 6, 8)
-#: Parts of the field along an axis, in each of which columns are counted apart.
+#: Number of parts of the field along an axis. Columns are counted separately in each part.
 PARTS = 64
-#: A part's own counts weigh as much as the whole field's when it holds so many columns.
+#: Number of columns at which the counts of a part have the same weight as the counts of the whole field.
 _PSEUDO_COLUMNS = 20.0
-#: Which axis of (x, y) the counts depend on; with ``None`` they are the same everywhere.
+#: The axis of (x, y) on which the probabilities depend; ``None`` for probabilities that are constant in the field.
 Axis = int | None
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Chances of numbers of defects by kind of column and place.
+    """Probabilities of numbers of defects by kind of column and place.
 
     Attributes:
         names: kinds of columns.
-        chances: for each target (``"vacancy"``, ``"substitution"``, ``None`` for all types together) an array
-            ``[part, kind, number of defects]``; the last number stands for itself and all above.
+        chances: for each target (``"vacancy"``, ``"substitution"``, ``None`` for all types together) an array of probabilities ``[part,
+            kind, number of defects]``. The last number means "that many or more".
         rates: defects per nm^2 by type, ``[part]``.
         axis: the axis (0 is x) along which the field is divided into parts; ``None`` for one part.
         size_nm: width and height of the field.
@@ -44,14 +44,15 @@ class Prior:
     size_nm: tuple[float, float]
 
     def part_of(self, places_nm: npt.ArrayLike) -> Whole:
-        """The part of the field in which each place (x, y) lies."""
+        """Returns the part of the field that contains each place (x, y)."""
         places = np.asarray(places_nm, dtype=np.float64).reshape(-1, 2)
         if self.axis is None:
             return np.zeros(len(places), dtype=np.int64)
         return _parts(places[:, self.axis], self.size_nm[self.axis])
 
     def of(self, columns: Columns, target: str | None) -> Values:
-        """Chances of 0, 1, ... defects in each column, (N, K). A kind that no training specimen holds has those of all columns."""
+        """Returns the probabilities of 0, 1, ... defects in each column, (N, K). A kind that no training specimen contains gets the mean of
+        all kinds."""
         table = self.chances[target]
         known = {name: n for n, name in enumerate(self.names)}
         last = table.shape[1] - 1
@@ -60,15 +61,16 @@ class Prior:
         return result
 
     def expected(self, places_nm: npt.ArrayLike, areas_nm2: npt.ArrayLike) -> dict[str, float]:
-        """Defects of each type to be expected in areas at places."""
+        """Returns the expected number of defects of each type in areas at places."""
         part, areas = self.part_of(places_nm), np.asarray(areas_nm2, dtype=np.float64)
         return {kind: float((rate[part] * areas).sum()) for kind, rate in self.rates.items() if rate.any()}
 
 
 def prior_of(recipe: Recipe) -> Prior:
-    """The prior of a recipe, whatever its seed. The first call lays out four specimens, about a second each; it is kept for all others.
+    """Returns the prior of a recipe. It does not depend on the recipe's seed.
 
-    Chances may depend on x or on y, if specimens that were left out are then foretold better; else they are the same everywhere.
+    The first call lays out four specimens, about 1 s each; later calls use the cached prior. The probabilities depend on x or on y if this
+    predicts left-out specimens better; otherwise they are constant in the field.
     """
     return _prior(recipe.with_seed(TRAINING_SEEDS[0]).toml)
 
@@ -98,7 +100,7 @@ def _parts(along_nm: Values, size_nm: float) -> Whole:
 
 
 def _counted(fields: list[Columns], names: tuple[str, ...], size_nm: tuple[float, float], target: str | None) -> Values:
-    """Numbers of columns ``[axis, specimen, part, kind, number of defects]``; the last kind is all kinds together."""
+    """Counts columns, ``[axis, specimen, part, kind, number of defects]``. The last kind is the sum of all kinds."""
     most = 1 + max(int(field.counts(target).max(initial=0)) for field in fields)
     out = np.zeros((2, len(fields), PARTS, len(names) + 1, most + 1))
     for n, field in enumerate(fields):
@@ -113,14 +115,17 @@ def _counted(fields: list[Columns], names: tuple[str, ...], size_nm: tuple[float
 
 
 def _along(table: Values, axis: Axis) -> Values:
-    """``[specimen, part, kind, number]`` of counts along an axis, or in one part."""
+    """Returns the counts along an axis, or in one part, ``[specimen, part, kind, number]``."""
     result: Values = table[0].sum(axis=1, keepdims=True) if axis is None else table[axis]
     return result
 
 
 def _chances(counts: Values) -> Values:
-    """Chances from counts ``[part, kind, number]``: those of a part lean on the whole field's, which lean on equal ones by one column.
-    No chance is 0, so no forecast of the prior is infinitely wrong."""
+    """Returns probabilities from counts ``[part, kind, number]``.
+
+    Pseudo-counts draw a part towards the whole field, and the whole field, with the weight of one column, towards equal probabilities. No
+    probability is 0, so the prior never costs infinitely many bits.
+    """
     whole = counts.sum(axis=0, keepdims=True)
     classes = counts.shape[-1]
     usual = (whole + 1 / classes) / (whole.sum(axis=-1, keepdims=True) + 1)
@@ -129,7 +134,7 @@ def _chances(counts: Values) -> Values:
 
 
 def _best_axis(table: Values) -> Axis:
-    """The axis along which each specimen is foretold best by the others; ``None`` unless that is better than one part."""
+    """Returns the axis along which the other specimens predict each specimen best; ``None`` if one part predicts better."""
 
     def foretold(axis: Axis) -> float:
         counts = _along(table, axis)

@@ -1,4 +1,4 @@
-"""How far a run is, and when it will end."""
+"""Prints the progress of a run, and its estimated end."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from .._text import printable
 
 _SECONDS_BETWEEN_LINES = 10.0
 _SECONDS_BETWEEN_CHANGES = 0.2
-#: No end is foretold before so many episodes.
+#: Number of episodes before the first estimate of the end.
 _LEAST_FOR_A_PACE = 4
 
 
 class Progress:
-    """One line that changes on a terminal, else a line now and then. The end is estimated from the pace so far, and not before there is one."""
+    """Prints one changing line on a terminal, and occasional lines elsewhere. The end is estimated from the pace so far."""
 
     def __init__(self, episodes: int, skipped: int, say: Callable[[str], object] | None) -> None:
         self._episodes, self._say = episodes, say
         self._terminal = say is None and sys.stderr.isatty()
         self._done = self._failed = 0
         self._began = self._last = time.monotonic()
-        #: The end of the first episode: what came before it, a library perhaps, comes once.
+        #: The end of the first episode. The time before it, for example for a library, is not repeated, so the pace excludes it.
         self._first: float | None = None
         self._errors: set[str] = set()
         if skipped:
             self._line(f"{skipped} episodes are done already, {episodes} are left")
 
     def step(self, what: str) -> None:
-        """One more episode."""
+        """Counts one more episode."""
         self._done += 1
         self._show(printable(what))
 
     def note(self, text: str) -> None:
-        """What goes on before there are episodes."""
+        """Prints the work before the first episode."""
         text = printable(text)
         if self._terminal:
             sys.stderr.write("\r\x1b[K" + text[:150])
@@ -43,7 +43,7 @@ class Progress:
             self._line(text)
 
     def failed(self, error: str) -> None:
-        """One episode ended with an error; errors of one kind are told once."""
+        """Counts an episode that ended with an error. Errors of one kind are printed once."""
         self._failed += 1
         kind = error.partition(": ")[2]
         if kind not in self._errors:
@@ -91,7 +91,7 @@ class Progress:
 
 
 def in_words(seconds: float) -> str:
-    """A time as one reads it."""
+    """Returns a time with a unit for readers."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     if seconds < 5400:

@@ -1,4 +1,4 @@
-"""What an agent is made of: a navigator, an analyst and a planner are any objects with these methods."""
+"""The parts of an agent: navigators, analysts and planners are objects with the methods below."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Analyst", "Look", "Navigator", "Plan", "Planner", "Seen"]
 
 
 class Look(NamedTuple):
-    """The next acquisition: a tile of the grid, zoom, and times the reference dose."""
+    """The next acquisition: a tile of the grid, the zoom, and the dose in units of the reference dose."""
 
     row: int
     column: int
@@ -27,7 +27,7 @@ class Look(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What a planner wants: ``mode`` for the record, ``beta`` for navigators that explore, ``end`` to be done."""
+    """The decision of a planner: ``mode`` for the record, ``beta`` for navigators that explore, ``end`` to end the episode."""
 
     mode: str
     beta: float | None = None
@@ -36,16 +36,17 @@ class Plan(NamedTuple):
 
 @dataclass(eq=False)
 class Seen:
-    """What an agent knows at a moment of an episode.
+    """The knowledge of an agent during an episode.
 
     Attributes:
         field: the facts of the field: grid, sizes, phases, task, budget.
         tiles: acquisitions so far, in order.
-        findings: what the analyst says of them; ``None`` before the first.
-        dose_left: share of the budget that is left.
-        plan: what the planner said last.
-        uncertainty_of: of each acquisition, how uncertain the analyst is; ``None`` for an analyst that does not say.
-        counts_of: of each acquisition, defects that the analyst counts in its tile and their standard deviation; ``None`` as well.
+        findings: the analyst's findings in these tiles; ``None`` before the first acquisition.
+        dose_left: remaining share of the budget.
+        plan: the last plan; ``None`` without a planner.
+        uncertainty_of: the analyst's method ``uncertainty``, which returns one number for each acquisition; ``None`` if it has none.
+        counts_of: the analyst's method ``tile_counts``, which returns the number of defects in each tile and its standard deviation;
+            ``None`` if it has none.
     """
 
     field: FieldFacts
@@ -57,18 +58,18 @@ class Seen:
     counts_of: Callable[[Sequence[Acquired]], npt.NDArray[np.float64]] | None = None
 
     def visited(self) -> npt.NDArray[np.bool_]:
-        """Tiles that were acquired, [row, column]."""
+        """Returns a mask of the acquired tiles, [row, column]."""
         grid = np.zeros(self.field.grid, dtype=bool)
         for tile in self.tiles:
             grid[tile.row, tile.column] = True
         return grid
 
     def coverage(self) -> float:
-        """Share of the tiles that were acquired."""
+        """Returns the share of the tiles that were acquired."""
         return float(self.visited().mean())
 
     def defects(self) -> int:
-        """Number of defects declared so far."""
+        """Returns the number of defects in the findings."""
         if self.findings is None:
             return 0
         if self.findings.counts is not None:
@@ -78,36 +79,37 @@ class Seen:
 
 @runtime_checkable
 class Navigator(Protocol):
-    """Chooses where to look next."""
+    """Chooses the next acquisition."""
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
-        """Begins an episode; all random numbers come from ``random``."""
+        """Begins an episode. All random numbers come from ``random``."""
 
     def choose(self, seen: Seen) -> Look | None:
-        """The next acquisition; ``None`` when there is nothing left to see."""
+        """Returns the next acquisition; ``None`` if no tile is left."""
 
 
 @runtime_checkable
 class Analyst(Protocol):
-    """Says what the tiles show.
+    """Analyses the tiles.
 
-    An analyst may also have ``uncertainty(tiles)``, one number for each of the tiles, for navigators that look where it is uncertain,
-    ``tile_counts(tiles)``, (N, 2), defects in each tile and their standard deviations, for those that look where most are, and ``notes()``, a dict of numbers for the record of the episode.
+    An analyst may have three further methods. ``uncertainty(tiles)`` returns one number for each tile, for navigators that choose uncertain
+    places. ``tile_counts(tiles)`` returns the number of defects in each tile and its standard deviation, (N, 2), for navigators that choose
+    places with many defects. ``notes()`` returns a dict of numbers for the record of the episode.
     """
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
         """Begins an episode."""
 
     def findings(self, tiles: Sequence[Acquired]) -> Findings:
-        """All that the tiles acquired so far show. Called again and again, each time with more tiles."""
+        """Returns the findings in all tiles acquired so far. It is called repeatedly, each time with more tiles."""
 
 
 @runtime_checkable
 class Planner(Protocol):
-    """Decides how much to explore, and when to be done."""
+    """Chooses the amount of exploration, and the end of an episode."""
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
         """Begins an episode."""
 
     def plan(self, seen: Seen) -> Plan:
-        """The plan for the next acquisition."""
+        """Returns the plan for the next acquisition."""

@@ -1,4 +1,4 @@
-"""Tiles that were not acquired, filled in by total variation."""
+"""Fills in tiles that were not acquired, by total variation."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 Values = npt.NDArray[np.float64]
 
-#: The field is filled in with at most that many pixels a side; total variation gives no finer detail where nothing was seen.
+#: Most pixels along each side of the reconstructed field. Total variation gives no finer detail in unseen areas.
 _MOST_PIXELS = 640
 _ROUNDS = 30
 
 
 @dataclass(frozen=True, eq=False)
 class _FilledIn:
-    """A tile that was not acquired, in the form of one that was."""
+    """A filled-in tile, in the form of an acquired one."""
 
     row: int
     column: int
@@ -40,7 +40,7 @@ class _FilledIn:
 
 
 def inpaint(image: Values, known: npt.NDArray[np.bool_], rounds: int = _ROUNDS) -> Values:
-    """Fills in the pixels that are not ``known``: Chambolle's total-variation denoising, and the known pixels put back, in turns."""
+    """Fills in the pixels that are not ``known``, by alternating Chambolle's total-variation denoising and resetting the known pixels."""
     denoise = needed("skimage.restoration").denoise_tv_chambolle
     mean, spread = float(image[known].mean()), float(image[known].std())
     scaled = np.where(known, (image - mean) / (spread if spread > 0 else 1.0), 0.0)
@@ -52,7 +52,7 @@ def inpaint(image: Values, known: npt.NDArray[np.bool_], rounds: int = _ROUNDS) 
 
 
 def reconstructed(field: FieldFacts, tiles: Sequence[Acquired]) -> list[Any]:
-    """All tiles of the grid that were not acquired, filled in from those that were, in the order of the rows."""
+    """Returns all tiles of the grid that were not acquired at zoom 1, filled in from the acquired tiles, row by row."""
     rows, columns = field.grid
     edge = field.tile_px
     bins = 1
@@ -80,7 +80,7 @@ def reconstructed(field: FieldFacts, tiles: Sequence[Acquired]) -> list[Any]:
     made = []
     for row, column in missing:
         image = shown[row * block : (row + 1) * block, column * block : (column + 1) * block]
-        # Blocks of equal pixels would have edges that look like atoms.
+        # Blocks of equal pixels would have edges that an analyst takes for atoms, so the image is interpolated.
         image = zoom(image, bins, order=1, mode="nearest", grid_mode=True) if bins > 1 else image
         stride_nm = (field.tile_px - field.overlap_px) * field.pixel_nm
         half = (field.tile_px - 1) / 2 * field.pixel_nm

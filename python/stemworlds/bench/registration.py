@@ -1,4 +1,4 @@
-"""The environments by name."""
+"""Registers the environments with Gymnasium."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TASKS: dict[str, Task] = {
 
 
 def register() -> None:
-    """Registers ``stemworlds/DefectCensus-v0``, ``stemworlds/DefectCensusStrict-v0`` and so on, unless they are there."""
+    """Registers ``stemworlds/DefectCensus-v0``, ``stemworlds/DefectCensusStrict-v0`` and so on, unless they are registered already."""
     for name, task in TASKS.items():
         forms = (("", False),) if task in ONE_FORM else (("", False), ("Strict", True))
         for suffix, strict in forms:

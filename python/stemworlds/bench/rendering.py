@@ -1,4 +1,4 @@
-"""Pictures and texts of an episode."""
+"""Draws and describes the state of an episode."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FOUND = (255, 90, 90)
 
 @dataclass(frozen=True)
 class Scene:
-    """What is drawn."""
+    """The state of an episode that is drawn."""
 
     episodes: Episodes
     seen: Sequence[Acquired]
@@ -36,8 +36,11 @@ class Scene:
 
 
 def picture(scene: Scene) -> Picture:
-    """Left the field with the tiles seen so far, on the overview of a world file; right the last tile with what is there (green) and what was found (red circles);
-    below, score over dose."""
+    """Draws an episode in three panels.
+
+    Left: the field with the tiles acquired so far, on the overview of a world file. Right: the last tile with the truth (green) and the
+    findings (red circles). Below: score against dose.
+    """
     out = np.full((_PANEL_PX + _CURVE_PX + 3 * _GAP_PX, 2 * _PANEL_PX + 3 * _GAP_PX, 3), 24, np.uint8)
     left, right = _GAP_PX, 2 * _GAP_PX + _PANEL_PX
     out[_GAP_PX : _GAP_PX + _PANEL_PX, left : left + _PANEL_PX] = _map(scene)
@@ -48,7 +51,7 @@ def picture(scene: Scene) -> Picture:
 
 
 def text(scene: Scene) -> str:
-    """The same in a few lines."""
+    """Describes an episode in a few lines."""
     field = scene.episodes.field
     record = scene.episodes.record(0)
     rows, columns = field.grid
@@ -74,7 +77,7 @@ def _by_kind(findings: Findings) -> Iterable[tuple[str, npt.NDArray[np.float64]]
 
 
 def _colours(image: npt.NDArray[np.float32], shape: tuple[int, int]) -> Picture:
-    """Grey values of an image, enlarged or reduced to so many pixels; contrast from the 1st to the 99.5th percentile."""
+    """Returns the grey values of an image, resampled to ``shape``, with contrast from the 1st to the 99.5th percentile."""
     low, high = np.percentile(image, [1, 99.5])
     grey = np.clip((image - low) / max(float(high - low), 1e-9), 0, 1)
     rows, columns = (np.arange(n) * edge // n for n, edge in zip(shape, image.shape, strict=True))
@@ -95,7 +98,7 @@ def _map(scene: Scene) -> Picture:
     out[bottom:], out[:, end:] = 24, 24
     overview = scene.episodes.whole_overview()
     if overview is not None:
-        # Half as bright as what was paid for.
+        # The overview is half as bright as the acquired tiles, so that these stand out.
         out[:bottom, :end] = _colours(overview, (bottom, end)) // 2
     images = [what.image for what in scene.seen]
     if images:

@@ -1,4 +1,4 @@
-"""The page of results, and its tables as CSV."""
+"""Writes the report page of results, and its tables as CSV."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 
 class _Section(NamedTuple):
-    """A part of the page; ``make`` gives its HTML, or nothing where the results do not support it, for the reason in ``needs``."""
+    """A section of the page. ``make`` returns its HTML, or an empty text if the results lack the data that ``needs`` names."""
 
     title: str
     make: Callable[[Results], str]
@@ -49,21 +49,21 @@ _SECTIONS = (
 
 
 def write_report(results: Paths, out: str | os.PathLike[str]) -> list[Path]:
-    """Writes ``out``, a page that needs nothing else, and three tables beside it: ``-agents``, ``-episodes`` and ``-pairs`` with ``.csv`` behind.
+    """Writes a self-contained page, and three tables beside it, whose names end in ``-agents.csv``, ``-episodes.csv`` and ``-pairs.csv``.
 
     The same results give the same bytes.
 
     Args:
-        results: files of results, one or several.
+        results: one or several files of results.
         out: the page; its name ends in ``.html``.
 
     Returns:
         The files that were written.
 
     Raises:
-        FileMissing, FormatError: for files that are no results.
-        InvalidValue: for results that do not go together.
-        DiskFull, FileError: where a file cannot be written; those that were there before are as they were.
+        FileMissing, FormatError: for a file that is missing, or contains no results.
+        InvalidValue: for results that contradict each other, for example one name for two agents.
+        DiskFull, FileError: if a file cannot be written. Existing files are then unchanged.
     """
     page = Path(out)
     if page.suffix != ".html":
@@ -80,7 +80,7 @@ def write_report(results: Paths, out: str | os.PathLike[str]) -> list[Path]:
 
 
 def _write(made: Mapping[Path, str]) -> None:
-    """Writes all files, or none: beside their places first, then all get their names."""
+    """Writes all files or none: under temporary names first, then all are renamed."""
     aside = {path: path.with_name(f".{path.name}.{os.getpid()}.partial") for path in made}
     path = next(iter(made))
     try:
@@ -100,11 +100,12 @@ def _write(made: Mapping[Path, str]) -> None:
 
 
 def leaderboard(results: Paths) -> list[dict[str, Any]]:
-    """Agents of each task and budget, the best first, in the worlds and seeds that all of them played.
+    """Ranks the agents of each task and budget, in the worlds and seeds that all of them played.
 
     Returns:
-        For each task and budget ``task``, ``budget``, ``note`` and ``agents``: ``rank``, ``agent``, ``role`` (floor, blind, agent, ideal, ceiling), ``mean``
-        and ``deviation`` of DEC-AUC, ``interval`` (95 %, bootstrap), ``of_the_way`` from floor to ceiling, ``skill`` from blind to ideal, ``episodes``.
+        One dict for each task and budget, with ``task``, ``budget``, ``note`` and ``agents``. The entries of ``agents``, the best first,
+        have ``rank``, ``agent``, ``role`` (floor, blind, agent, ideal, ceiling), ``mean`` and ``deviation`` of DEC-AUC, ``interval`` (95 %,
+        bootstrap), ``of_the_way`` from floor to ceiling, ``skill`` from blind to ideal, and ``episodes``.
     """
     read = Results(files(results))
     tables = (ranking(read, task, budget) for task in read.tasks for budget in read.budgets)

@@ -1,4 +1,4 @@
-"""Files of results: a JSON object a line, appended as episodes end."""
+"""Reads and writes files of results. Each line is a JSON object, appended at the end of an episode."""
 
 from __future__ import annotations
 
@@ -24,16 +24,17 @@ METRICS = ("dec_auc", "final_score", "time_to_threshold", "early_weighted", "lat
 _TEXTS = {"key", "agent", "task", "world"}
 #: More rows or columns of tiles than any world has.
 _LARGEST_GRID = 10_000
-#: What each line begins with.
+#: The first bytes of each line.
 _BEGINNING = b'{"key"'
 
 
 class ResultFile:
-    """A file of results that is written to, by one process at a time. A last line that was cut off in the writing is removed.
+    """A file of results, opened for appending by one process at a time. An incomplete last line is removed.
 
     Raises:
-        FormatError: if the file is there and holds something else; it stays as it is.
-        OutputLocked: if another run writes it.
+        FormatError: if the file exists and contains no results. It is not changed.
+        FileError: if the file cannot be opened for writing.
+        OutputLocked: if another run is writing the file.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -44,7 +45,7 @@ class ResultFile:
         import fcntl
 
         try:
-            # Without a buffer: what could not be written is known, and does not come later.
+            # Without a buffer, a failed write is reported at once, and is not repeated when the file is closed.
             self._file = open(self.path, "a+b", buffering=0)
         except OSError as error:
             raise FileError(f"{self.path}: cannot be written: {error.strerror}") from error
@@ -61,7 +62,7 @@ class ResultFile:
         return self
 
     def _cut_off(self) -> None:
-        """Removes a last line without its end, if the file holds results and nothing else."""
+        """Removes an incomplete last line, if the file contains results and nothing else."""
         assert self._file is not None, "the file is not open"
         self._file.seek(0)
         told = self._file.readall()
@@ -79,14 +80,14 @@ class ResultFile:
             self._file.close()
 
     def finished(self) -> set[str]:
-        """Keys of the combinations that are there; not of those that ended with an error."""
+        """Returns the keys of the combinations in the file, without the combinations that ended with an error."""
         return {row["key"] for row in _rows(self.path) if "error" not in row}
 
     def append(self, row: Row) -> None:
-        """Writes a row through to the disk.
+        """Appends a row, and waits until it is on the disk.
 
         Raises:
-            DiskFull, FileError: if that cannot be done; the file then holds the rows before, whole.
+            DiskFull, FileError: if the row cannot be written. The file then contains the complete earlier rows.
         """
         assert self._file is not None, "the file is not open"
         line = json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"
@@ -107,7 +108,7 @@ class ResultFile:
 
 
 def _through(descriptor: int) -> None:
-    """Hands a file to the disk; not all that can be written to knows what that is."""
+    """Flushes a file to the disk. Targets that cannot be flushed, for example pipes, are accepted."""
     try:
         os.fsync(descriptor)
     except OSError as error:
@@ -116,10 +117,10 @@ def _through(descriptor: int) -> None:
 
 
 def read_results(path: str | os.PathLike[str]) -> list[Row]:
-    """The rows of a file of results; of a combination that is there twice, the last.
+    """Returns the rows of a file of results. If a combination occurs twice, the last row counts.
 
     Raises:
-        FileMissing: if it is not there.
+        FileMissing: if the file does not exist.
         FormatError: if a line is no result; the message names the line.
     """
     if not Path(path).is_file():
@@ -131,7 +132,7 @@ def read_results(path: str | os.PathLike[str]) -> list[Row]:
 
 
 def read_failures(path: str | os.PathLike[str]) -> list[Row]:
-    """The episodes of a file of results that ended with an error, and were not played since: key, agent, task, world, seed, budget, error."""
+    """Returns the episodes that ended with an error and have no later result: key, agent, task, world, seed, budget, error."""
     last = {row["key"]: row for row in _rows(Path(path))}
     return [row for row in last.values() if "error" in row]
 
@@ -140,7 +141,7 @@ def _rows(path: Path) -> Iterator[Row]:
     with open(path, "rb") as lines:
         for number, line in enumerate(lines, 1):
             if not line.endswith(b"\n"):
-                # Cut off in the writing, or still being written.
+                # The last line is incomplete: writing was interrupted, or is in progress.
                 return
             try:
                 row = json.loads(line.decode())
@@ -153,7 +154,7 @@ def _rows(path: Path) -> Iterator[Row]:
 
 
 def _fault(row: Row) -> str:
-    """What a row lacks, or has wrong; an empty text for a result as the runner writes them."""
+    """Returns a description of a missing or wrong value of a row; an empty text for a valid row."""
     missing = sorted(name for name in _TEXTS | {"seed", "budget"} if name not in row)
     if missing:
         return f"{missing[0]} is missing"
@@ -174,7 +175,7 @@ def _fault(row: Row) -> str:
 
 
 def _fault_of_the_rest(row: Row) -> str:
-    """The same of what a result may leave out."""
+    """Returns a description of a wrong optional value of a row; an empty text if there is none."""
     for name in ("specification", "environment", "notes", "wall", "scores"):
         if not isinstance(row.get(name) or {}, dict):
             return f"{name} is no table"
@@ -206,5 +207,5 @@ def _whole(value: Any, least: int, most: int) -> bool:
 
 
 def _number(value: Any) -> bool:
-    """Whether it is a finite number."""
+    """Returns whether a value is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max

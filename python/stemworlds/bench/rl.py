@@ -1,4 +1,4 @@
-"""Reinforcement learning with stable-baselines3, which has to be installed (``stemworlds[rl]``)."""
+"""Trains and runs policies with stable-baselines3, which has to be installed (``stemworlds[rl]``)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["PolicyAgent", "train_policy"]
 
 Algorithm = Literal["DQN", "PPO", "SAC"]
 
-#: The paper's settings.
+#: The STEMGym paper's settings.
 _SETTINGS: dict[str, dict[str, Any]] = {
     "DQN": {"learning_rate": 1e-4, "buffer_size": 50_000, "batch_size": 64, "exploration_fraction": 0.3, "gamma": 0.99},
     "PPO": {"learning_rate": 3e-4, "n_steps": 2048, "n_epochs": 10, "clip_range": 0.2, "ent_coef": 0.01, "gae_lambda": 0.95},
@@ -40,22 +40,22 @@ def train_policy(
     seed: int = 0,
     settings: dict[str, Any] | None = None,
 ) -> Any:
-    """Trains a policy in several worlds at once, with the paper's settings.
+    """Trains a policy in several worlds at once, by default with the STEMGym paper's settings.
 
     DQN and PPO choose among 8 x 8 places and 3 actions (:class:`DiscreteGrid`), SAC chooses a place (:class:`TargetBox`).
 
     Args:
-        environments: each makes an environment: ``lambda: gym.make("stemworlds/DefectCensus-v0", recipe="srtio3", split="train",
-            reward="score_gain")``. Those with ``reward="none"`` teach nothing.
-        analyst: makes the analyst of an environment; each has its own.
-        steps: in all of them together.
-        settings: of the algorithm, in place of the paper's.
+        environments: functions that make one environment each: ``lambda: gym.make("stemworlds/DefectCensus-v0", recipe="srtio3",
+            split="train", reward="score_gain")``. With ``reward="none"`` a policy learns nothing.
+        analyst: function that makes an analyst. It is called once for each environment.
+        steps: number of steps, summed over all environments.
+        settings: settings of the algorithm that replace the paper's.
 
     Returns:
-        The model of stable-baselines3: ``model.save("dqn.zip")`` keeps it for :class:`PolicyAgent`.
+        The model of stable-baselines3. ``model.save("dqn.zip")`` saves it for :class:`PolicyAgent`.
 
-    Images are bytes (:class:`ByteImages`), which a convolutional network takes in. The buffers of DQN and SAC hold 50 000 observations of 20 kB:
-    2 GB for both ends of a step. A policy is for fields with as many tiles as those it was trained in.
+    Images are converted to bytes (:class:`ByteImages`) for the convolutional network. The replay buffers of DQN and SAC hold 50 000 steps
+    with two observations of 20 kB each, which are 2 GB. A policy works only in fields with as many tiles as in its training.
     """
     if algorithm not in _SETTINGS:
         raise _invalid("algorithm", f"algorithm = {algorithm!r}: expected one of {', '.join(_SETTINGS)}")
@@ -65,7 +65,7 @@ def train_policy(
     made = vectors.DummyVecEnv([_Wrapped(make, algorithm, analyst) for make in environments])
     chosen = {**_SETTINGS[algorithm], **(settings or {})}
     if algorithm == "PPO" and settings is None:
-        # Rollouts of 2048 steps in all environments together.
+        # A rollout has 2048 steps, summed over all environments.
         chosen["n_steps"] = max(chosen["n_steps"] // len(environments), 2)
     model = getattr(library, algorithm)("MultiInputPolicy", made, seed=seed, **chosen)
     model.learn(total_timesteps=steps)
@@ -73,7 +73,7 @@ def train_policy(
 
 
 class _Wrapped:
-    """Makes an environment with the actions of an algorithm."""
+    """Makes an environment with the action space of an algorithm."""
 
     def __init__(self, make: Callable[[], gym.Env[Any, Any]], algorithm: str, analyst: Callable[[], Analyst]) -> None:
         self._make, self._algorithm, self._analyst = make, algorithm, analyst
@@ -85,7 +85,7 @@ class _Wrapped:
 
 
 class _Analysing:
-    """An analyst at the interface of the wrappers."""
+    """Adapts an analyst to the interface of the wrappers."""
 
     def __init__(self, analyst: Analyst, world: Any, random: Callable[[], np.random.Generator]) -> None:
         self._analyst, self._random = analyst, random
@@ -93,7 +93,7 @@ class _Analysing:
             analyst.attach(world)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> _Analysing:
-        """Wrappers copy their arguments for the specification; the world of this one stays what it is."""
+        """Returns the object unchanged. Wrappers copy their arguments for their specification, and a copy would duplicate the world."""
         return self
 
     def reset(self, field: FieldFacts) -> None:
@@ -113,11 +113,11 @@ class PolicyAgent:
     """Plays a trained policy.
 
     Args:
-        name: of the agent.
+        name: name of the agent.
         algorithm: ``"DQN"``, ``"PPO"`` or ``"SAC"``.
-        model: the file that :func:`train_policy`'s model was saved to.
-        analyst: who declares.
-        deterministic: takes the best action, not a drawn one.
+        model: file of a saved model from :func:`train_policy`.
+        analyst: the analyst, which declares the findings.
+        deterministic: choose the best action instead of a random one.
     """
 
     def __init__(

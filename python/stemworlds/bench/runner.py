@@ -1,4 +1,4 @@
-"""Runs experiments: many episodes, several processes, nothing twice."""
+"""Runs the episodes of experiments in several processes. Finished episodes are not repeated."""
 
 from __future__ import annotations
 
@@ -39,23 +39,24 @@ __all__ = ["RunSummary", "run_experiment"]
 
 Row = dict[str, Any]
 Make: TypeAlias = "Callable[[Episode], gym.Env[Any, Any]]"
-#: Episodes that a process is given at once: it goes on while the row of the one before is written.
+#: Number of queued episodes of a process. It plays the second while the row of the first is written.
 _AT_ONCE = 2
-#: Linux: a signal for this process when the one that made it ends.
+#: Option of Linux: this process gets a signal when its parent ends.
 _PR_SET_PDEATHSIG = 1
 
 
 @dataclass
 class RunSummary:
-    """What a run did.
+    """Summary of a run.
 
     Attributes:
-        episodes: of the experiment.
-        skipped: those that the file held before.
-        done: those that were played.
-        failed: those that ended with an error, each with its message. The file notes them; they are played when the experiment is run again.
-        interrupted: whether Ctrl-C ended it.
-        seconds: it took.
+        episodes: number of episodes of the experiment.
+        skipped: number of episodes that were in the file before.
+        done: number of episodes played.
+        failed: messages of the episodes that ended with an error. They are noted in the file. The next run of the experiment plays them
+            again.
+        interrupted: whether Ctrl-C ended the run.
+        seconds: duration of the run.
     """
 
     episodes: int
@@ -74,15 +75,16 @@ def run_experiment(
     progress: Callable[[str], object] | None = None,
     make: Callable[[Episode], gym.Env[Any, Any]] | None = None,
 ) -> RunSummary:
-    """Plays all episodes of an experiment that the file of results does not hold yet, and appends each as it ends.
+    """Plays the episodes of an experiment that are not in the file of results yet, and appends each result.
 
-    The rows are the same for any number of processes but for their order and ``wall``, the times.
+    The rows do not depend on the number of processes, except for their order and their times, ``wall``.
 
     Args:
-        out: the file of results, JSON lines.
-        processes: how many play at once; by default as many as there are processors.
-        progress: takes lines; by default they go to standard error, as one line that changes on a terminal.
-        make: makes the environment of an episode, by default the one that its task and world name. It has to be a function of a module.
+        out: the file of results (JSON lines).
+        processes: number of processes; by default the number of processors.
+        progress: function that receives lines of progress; by default they are printed on standard error, on a terminal as one changing
+            line.
+        make: function that makes the environment of an episode; by default from its task and world. It has to be a function of a module.
     """
     if processes is not None and not 1 <= processes <= 4096:
         raise _invalid("processes", f"processes = {processes}: expected a whole number from 1 to 4096")
@@ -120,7 +122,7 @@ def _processors() -> int:
 
 
 def _played(episodes: Sequence[Episode], processes: int, name: str, make: Make) -> Iterator[Row]:
-    """Rows of the episodes as they come."""
+    """Yields the rows of the episodes in the order of their ends."""
     if processes == 1:
         player = _Player(name, make)
         try:
@@ -129,10 +131,10 @@ def _played(episodes: Sequence[Episode], processes: int, name: str, make: Make) 
         finally:
             player.close()
         return
-    # A context of its own: forks of a process with threads may hang.
+    # New processes are spawned, since forks of a process with threads may hang.
     spawn = multiprocessing.get_context("spawn")
     begin = (os.getpid(), name, make, max(_processors() // processes, 1))
-    # A pool for each process, since it is not the same which of them plays an episode: see _Deal.
+    # There is a pool for each process, since _Deal assigns episodes to particular processes.
     pools = [ProcessPoolExecutor(1, spawn, _begin_process, begin) for _ in range(processes)]
     deal = _Deal(episodes, processes)
     waiting: dict[Future[Row], int] = {}
@@ -144,7 +146,7 @@ def _played(episodes: Sequence[Episode], processes: int, name: str, make: Make) 
             waiting[pools[process].submit(_play_one, episode)] = process
 
     try:
-        # Each process gets its first episode here, and begins with it.
+        # A pool starts its process at the first episode, so these are submitted while __main__ is hidden.
         with _importable_main():
             for process in [*range(processes)] * _AT_ONCE:
                 give(process)
@@ -166,14 +168,17 @@ def _played(episodes: Sequence[Episode], processes: int, name: str, make: Make) 
 
 
 class _Deal:
-    """Which process plays which episodes: all in one specimen, so that its images are made once, until others would have nothing to do."""
+    """Assigns episodes to processes.
+
+    One process plays all episodes of a specimen, so that its images are simulated once. At the end, idle processes take episodes of others.
+    """
 
     def __init__(self, episodes: Sequence[Episode], processes: int) -> None:
         self._specimens = deque(deque(group) for _, group in itertools.groupby(episodes, lambda episode: episode.specimen))
         self._own: list[deque[Episode]] = [deque() for _ in range(processes)]
 
     def next_of(self, process: int) -> Episode | None:
-        """What a process plays next; ``None`` if nothing is left."""
+        """Returns the next episode of a process; ``None`` if none is left."""
         if not self._own[process] and self._specimens:
             self._own[process] = self._specimens.popleft()
         if self._own[process]:
@@ -184,7 +189,7 @@ class _Deal:
 
 @contextmanager
 def _importable_main() -> Iterator[None]:
-    """Keeps new processes from running the script of this one again: they need nothing of it."""
+    """Hides the main script from new processes, which would otherwise run it again. They need nothing from it."""
     main = sys.modules["__main__"]
     kept = {key: main.__dict__.pop(key) for key in ("__file__",) if key in main.__dict__}
     spec, main.__spec__ = main.__spec__, None
@@ -196,12 +201,12 @@ def _importable_main() -> Iterator[None]:
 
 
 _player: _Player | None = None
-#: Threads of an environment; None for as many as there are processors.
+#: Number of threads of an environment; None for the number of processors.
 _threads: int | None = None
 
 
 def _begin_process(parent: int, name: str, make: Make, threads: int) -> None:
-    """Each process has its share of the processors; Ctrl-C is the first process's business."""
+    """Prepares a new process with its share of the processors. It ignores Ctrl-C, which the first process handles."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with(parent)
     global _player, _threads
@@ -210,18 +215,18 @@ def _begin_process(parent: int, name: str, make: Make, threads: int) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """Ends this process when the first one is gone, however and whenever it ended."""
+    """Makes this process end when the first process ends for any reason."""
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    # A process that ended before this line sends no signal.
+    # If the first process ended before the call above, there is no signal.
     if os.getppid() != parent:
         os._exit(1)
     threading.Thread(target=_watch, daemon=True).start()
 
 
 def _watch() -> None:
-    """The pipe from the first process closes with it, on any system."""
+    """Ends this process when the pipe from the first process is closed. This works on all systems."""
     first = multiprocessing.parent_process()
     if first is not None:
         multiprocessing.connection.wait([first.sentinel])
@@ -234,24 +239,24 @@ def _play_one(episode: Episode) -> Row:
 
 
 def _environment(episode: Episode) -> gym.Env[Any, Any]:
-    """The environment that the task and the world of an episode name."""
+    """Makes the environment of an episode from its task and world."""
     import gymnasium
 
     return gymnasium.make(episode.environment_id, disable_env_checker=True, **{"threads": _threads, **episode.environment_options})
 
 
 def _fill_libraries(episodes: Sequence[Episode], shown: Progress) -> None:
-    """Makes each world of a recipe once, on all processors: else every process would simulate the same library."""
+    """Makes each world of a recipe once, on all processors. Otherwise each process would simulate the library."""
     worlds = {json.dumps(episode.world, sort_keys=True): episode for episode in episodes if "recipe" in episode.world}
     for number, episode in enumerate(worlds.values(), 1):
         shown.note(f"library of {episode.world['name']}, {number} of {len(worlds)} (minutes where it is not in the cache)")
-        # The episodes tell what is wrong with a world.
+        # If a world cannot be made, its episodes report the error.
         with contextlib.suppress(Exception):
             _environment(episode).close()
 
 
 class _Player:
-    """Plays episodes; environments of a world and agents stay for the next."""
+    """Plays episodes. It keeps agents, and the environments of the current world, for the next episodes."""
 
     def __init__(self, experiment: str, make: Make) -> None:
         self._experiment, self._make = experiment, make
@@ -265,7 +270,7 @@ class _Player:
         self._open.clear()
 
     def row(self, episode: Episode) -> Row:
-        """The row of an episode, or its error."""
+        """Plays an episode. Returns its row of results, or a row with the error."""
         try:
             with _one_thread():
                 record = play(self._environment(episode), self._agent(episode), episode.seed)
@@ -281,7 +286,7 @@ class _Player:
         return self._agents[name]
 
     def _environment(self, episode: Episode) -> Any:
-        """The environment of an episode. Those of its world stay open: they share the images of a specimen."""
+        """Returns the environment of an episode. The environments of one world stay open, since they share the images of a specimen."""
         if self._world != episode.world:
             self.close()
             self._world = episode.world
@@ -292,7 +297,7 @@ class _Player:
 
 
 def _told(error: Exception) -> str:
-    """What an error says; of errors that are not ours, where it came from too."""
+    """Returns the message of an error. For errors from outside this package it contains file and line too."""
     if isinstance(error, StemworldsError):
         return str(error)
     frame = traceback.extract_tb(error.__traceback__)[-1]
@@ -301,7 +306,7 @@ def _told(error: Exception) -> str:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Linear algebra on one thread: the same bits everywhere, and the processes do not stand in each other's way."""
+    """Limits linear algebra to one thread. Results are then identical on all machines, and processes do not compete for processors."""
     try:
         threadpool_limits = importlib.import_module("threadpoolctl").threadpool_limits
     except ImportError:
@@ -312,7 +317,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def row_of(episode: Episode, record: Row, experiment: str) -> Row:
-    """What is kept of an episode."""
+    """Returns the row of results of an episode."""
     from .. import __version__
 
     return {
@@ -335,7 +340,7 @@ def row_of(episode: Episode, record: Row, experiment: str) -> Row:
 
 
 def _combination(episode: Episode, experiment: str) -> Row:
-    """What names an episode in a file of results."""
+    """Returns the values that identify an episode in a file of results."""
     facts = {key: Path(value).stem if key == "recipe" else value for key, value in episode.world.items() if key in ("recipe", "difficulty")}
     return {
         "key": episode.key,
@@ -352,7 +357,7 @@ def _combination(episode: Episode, experiment: str) -> Row:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and lists of NumPy as those of Python; numbers that are not finite as None."""
+    """Converts NumPy numbers and arrays to Python numbers and lists. Numbers that are not finite become None."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, dict):

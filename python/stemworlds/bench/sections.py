@@ -1,4 +1,4 @@
-"""Sections of the report page. Each gives HTML, or nothing where the results do not hold what it needs."""
+"""Sections of the report page. Each function returns HTML, or an empty text if the results lack the data that it needs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CURVE_TICKS = {"no dose": 0.0, "whole budget": 1.0}
 
 
 def summary(results: Results) -> str:
-    """What the results are, and how to read the page."""
+    """Describes the results, and explains the page."""
     rows = results.rows
     experiments = ", ".join(sorted({str(row.get("experiment", "?")) for row in rows}))
     versions = ", ".join(sorted({str(row.get("version", "?")) for row in rows}))
@@ -41,7 +41,7 @@ def summary(results: Results) -> str:
 
 
 def main_table(results: Results) -> str:
-    """Agents by tasks, with the paper's numbers."""
+    """Tabulates agents by tasks, with the paper's numbers."""
     tasks = [task for task in results.tasks if results.in_task(task)]
     if not tasks:
         return ""
@@ -64,7 +64,7 @@ def main_table(results: Results) -> str:
 
 
 def curves(results: Results) -> str:
-    """Mean score over dose, a panel for each agent."""
+    """Draws the mean score against dose, one panel for each agent."""
     out = []
     for number, task in enumerate(results.tasks):
         agents = results.in_task(task)
@@ -81,7 +81,7 @@ def curves(results: Results) -> str:
 
 
 def maps(results: Results) -> str:
-    """Tiles that the agents acquired in one world."""
+    """Draws the tiles that the agents acquired in one world."""
     rows = [row for row in results.rows if row["budget"] == results.budget and row.get("grid") and row.get("tiles")]
     if not rows:
         return ""
@@ -104,7 +104,7 @@ def maps(results: Results) -> str:
 
 
 def worlds(results: Results) -> str:
-    """Agents by worlds, for each task."""
+    """Tabulates agents by worlds, for each task."""
     if len(results.worlds) < 2:
         return ""
     out = []
@@ -118,7 +118,7 @@ def worlds(results: Results) -> str:
 
 
 def difficulty(results: Results) -> str:
-    """Agents by difficulty."""
+    """Tabulates agents by difficulty."""
     out = []
     for number, task in enumerate(results.tasks):
         found = {agent: results.by_difficulty(agent, task) for agent in results.in_task(task)}
@@ -137,7 +137,7 @@ def difficulty(results: Results) -> str:
 
 
 def budgets(results: Results) -> str:
-    """Agents by budget."""
+    """Tabulates agents by budget."""
     if len(results.budgets) < 2:
         return ""
     out = []
@@ -159,7 +159,7 @@ def budgets(results: Results) -> str:
 
 
 def strict(results: Results) -> str:
-    """Final scores by the paper's rules and by the strict ones, and by column."""
+    """Tabulates final scores by the paper's rules, by the strict rules, and by column."""
     out = []
     for task in results.tasks:
         lines = []
@@ -185,7 +185,7 @@ def strict(results: Results) -> str:
 
 
 def pairs(results: Results) -> str:
-    """Paired tests of all agents, as a matrix for each task."""
+    """Tabulates paired tests of all agents, as a matrix for each task."""
     out = []
     for task in results.tasks:
         found = {(pair.a, pair.b): pair for pair in results.pairs(task)}
@@ -222,7 +222,7 @@ def pairs(results: Results) -> str:
 
 
 def agreement(results: Results) -> str:
-    """Spearman's rho of other metrics."""
+    """Tabulates Spearman's rho between DEC-AUC and the other metrics."""
     found = {task: rho for task in results.tasks if (rho := results.agreement(task)) is not None}
     if not found:
         return ""
@@ -239,14 +239,14 @@ def agreement(results: Results) -> str:
 
 
 def discretisation(results: Results) -> str:
-    """What the number of checkpoints changes."""
+    """Tabulates the change of DEC-AUC with the number of checkpoints."""
     found = results.discretisation()
     words = [f"from {a} to {b}: {found[a, b]:.4f} (paper {DISCRETISATION[a, b]:.4f})" for a, b in found]
     return f"<p>The most that DEC-AUC of an episode changes with the number of checkpoints, {'; '.join(words)}. 50 are used.</p>"
 
 
 def latency(results: Results) -> str:
-    """Times of episodes and tiles."""
+    """Tabulates times of episodes and tiles."""
     lines = []
     for agent in results.agents:
         times = [row["wall"] for row in results.rows if row["agent"] == agent and row.get("wall")]
@@ -260,7 +260,7 @@ def latency(results: Results) -> str:
 
 
 def faults(results: Results) -> str:
-    """Episodes that failed, and what could not be read."""
+    """Lists failed episodes, and counts unreadable reports."""
     lines = []
     for agent in [*results.agents, *sorted({row["agent"] for row in results.failures} - set(results.agents))]:
         rows = [row for row in results.rows if row["agent"] == agent]
@@ -298,7 +298,7 @@ def _range(values: Sequence[float]) -> str:
 
 
 def _table(results: Results | None, head: Sequence[str], lines: Iterable[tuple[str, Sequence[str]]]) -> str:
-    """A table; names are escaped, cells are HTML."""
+    """Returns a table. Names are escaped; cells are HTML already."""
     columns = "".join(f'<th scope="col">{html.escape(name)}</th>' for name in head)
     body = []
     for name, cells in lines:

@@ -1,4 +1,4 @@
-"""The first lines of the report page: blind, ideal, and where each agent stands between them."""
+"""Makes the first lines of the report page: the position of each agent between blind analyst and ideal observer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .tables import Results
 
 
 def first_lines(results: Results) -> str:
-    """A sentence for each task."""
+    """Returns one sentence for each task."""
     said = []
     for task in results.tasks:
         found = scale(results, task)
@@ -40,7 +40,7 @@ def first_lines(results: Results) -> str:
 
 
 def seeing(results: Results) -> str:
-    """Skill, bits, average precision and counts, a table for each task."""
+    """Tabulates skill, bits, average precision and counts for each task."""
     out = []
     for task in results.tasks:
         found = scale(results, task)
@@ -75,7 +75,7 @@ def _stand_cells(found: Scale | None, agent: str) -> list[str]:
 
 
 def _sigmas(results: Results, rows: dict[str, list[Row]]) -> dict[tuple[str, int], float]:
-    """The ideal observer's standard deviation of the count by world and seed."""
+    """Returns the ideal observer's standard deviation of the count, by world and seed."""
     found: dict[tuple[str, int], float] = {}
     for agent, own in rows.items():
         if results.role[agent] == "ideal":

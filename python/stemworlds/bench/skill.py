@@ -1,4 +1,4 @@
-"""Where agents stand between guessing and what physics allows."""
+"""Computes the position of agents between guessing (0) and the limit of physics (1)."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ if TYPE_CHECKING:
 
 Values = npt.NDArray[np.float64]
 
-#: Blind and ideal that are nearer to each other than this leave nothing to tell: the score does not ask for seeing.
+#: Least difference between the ideal observer's and the blind analyst's score. Below it, the score does not measure seeing.
 LEAST_ROOM = 0.005
 _DRAWS = 2000
 
 
 @dataclass(frozen=True)
 class Stand:
-    """An agent between the blind one and the ideal observer.
+    """The position of an agent between the blind analyst and the ideal observer.
 
     Attributes:
-        mean: of its scores, in the cases that all three played.
-        skill: (score - blind) / (ideal - blind): 0 is guessing, 1 what physics allows; NaN where the two leave no room.
+        mean: mean score in the cases that all three played.
+        skill: (score - blind) / (ideal - blind): 0 is guessing, 1 the limit of physics; NaN if ideal and blind are too close.
         low, high: 95 % interval of the skill (percentiles of 2000 bootstrap draws of cases).
-        cases: worlds and seeds.
+        cases: number of cases. A case is a world with a seed.
     """
 
     mean: float
@@ -40,11 +40,11 @@ class Stand:
 
 @dataclass(frozen=True)
 class Scale:
-    """Blind, ideal, and the agents of a task between them.
+    """Blind analyst, ideal observer, and the other agents of a task.
 
     Attributes:
-        blind, ideal: names of the agents, and their means in the cases that both played.
-        stands: of all other agents that share a case.
+        blind, ideal: names of the two agents, and their means in the cases that both played.
+        stands: the positions of all other agents that share a case with both.
     """
 
     blind: tuple[str, float]
@@ -53,14 +53,14 @@ class Scale:
 
     @property
     def room(self) -> bool:
-        """Whether the score tells seeing from guessing at all."""
+        """Whether the score distinguishes seeing from guessing."""
         return self.ideal[1] - self.blind[1] >= LEAST_ROOM
 
 
 def scale(results: Results, task: str, budget: float | None = None) -> Scale | None:
-    """The scale of a task; ``None`` where no blind agent and ideal observer have played the same world and seed.
+    """Returns the scale of a task; ``None`` if no blind agent and ideal observer have played the same world and seed.
 
-    Of several blind agents the best counts, and of several ideal observers the best that knows no image beforehand.
+    The best of several blind agents counts, and the best of several ideal observers whose grade is not ``"known"``.
     """
     tables = {agent: results.by_case(agent, task, budget) for agent in results.in_task(task, budget)}
     blind = _best(tables, [name for name in tables if results.role[name] == "blind"])

@@ -1,4 +1,4 @@
-"""Statistics of results: intervals, paired tests, equivalence, agreement of rankings."""
+"""Computes statistics of results: intervals, paired tests, equivalence, agreement of rankings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .extras import needed
 
 __all__ = ["Equivalence", "bootstrap_interval", "dec_auc", "on_checkpoints", "paired_wilcoxon", "rank_agreement", "tost"]
 
-#: So few pairs are tested exactly, ties or not; as in SciPy.
+#: Greatest number of pairs that are tested exactly, also with ties, as in SciPy.
 _FEW_PAIRS = 13
 Values = npt.NDArray[np.float64]
 Numbers = Sequence[float] | Values
@@ -23,7 +23,7 @@ CHECKPOINTS = 50
 
 
 def bootstrap_interval(values: Numbers, *, level: float = 0.95, resamples: int = 10_000, seed: int = 0) -> tuple[float, float]:
-    """Interval of the mean by the bias-corrected and accelerated bootstrap (BCa). Of values that are all equal, that value."""
+    """Returns an interval of the mean by the bias-corrected and accelerated bootstrap (BCa). For equal values both ends are this value."""
     data = _numbers("values", values)
     if len(data) == 1 or float(np.ptp(data)) == 0.0:
         return float(data[0]), float(data[0])
@@ -35,19 +35,19 @@ def bootstrap_interval(values: Numbers, *, level: float = 0.95, resamples: int =
 
 
 def paired_wilcoxon(a: Numbers, b: Numbers) -> float:
-    """Two-sided p of the signed-rank test of pairs; 1 where all differences are 0."""
+    """Returns the two-sided p of the signed-rank test of pairs; 1 if all differences are 0."""
     return _signed_rank(_differences(a, b), "two-sided")
 
 
 @dataclass(frozen=True)
 class Equivalence:
-    """Two one-sided tests.
+    """Result of two one-sided tests.
 
     Attributes:
-        pairs: their number.
-        mean, deviation: of the differences a - b; the deviation is that of a sample.
-        p_low, p_high: that the difference is not above -margin, and not below +margin.
-        margin, level: as asked.
+        pairs: number of pairs.
+        mean, deviation: mean and sample standard deviation of the differences a - b.
+        p_low, p_high: p of the hypotheses that the difference is not above -margin, and not below +margin.
+        margin, level: the arguments of :func:`tost`.
     """
 
     pairs: int
@@ -60,12 +60,12 @@ class Equivalence:
 
     @property
     def equivalent(self) -> bool:
-        """Whether both tests say so."""
+        """Whether both tests reject their hypotheses."""
         return max(self.p_low, self.p_high) < self.level
 
 
 def tost(a: Numbers, b: Numbers, *, margin: float = 0.05, level: float = 0.05) -> Equivalence:
-    """Whether pairs are equivalent within ``margin``: two one-sided signed-rank tests, of a - b + margin and a - b - margin."""
+    """Tests whether pairs are equivalent within ``margin``, by one-sided signed-rank tests of a - b + margin and a - b - margin."""
     if not margin > 0:
         raise _invalid("margin", f"margin = {margin}: expected a number above 0")
     apart = _differences(a, b)
@@ -75,7 +75,7 @@ def tost(a: Numbers, b: Numbers, *, margin: float = 0.05, level: float = 0.05) -
 
 
 def rank_agreement(a: Numbers, b: Numbers) -> float:
-    """Spearman's rho; nan where one of them is constant."""
+    """Returns Spearman's rho; NaN if ``a`` or ``b`` is constant."""
     first, second = _numbers("a", a), _numbers("b", b)
     if len(first) != len(second) or len(first) < 2 or np.ptp(first) == 0 or np.ptp(second) == 0:
         return float("nan")
@@ -83,18 +83,21 @@ def rank_agreement(a: Numbers, b: Numbers) -> float:
 
 
 def on_checkpoints(curve: Sequence[Sequence[float]], checkpoints: int = CHECKPOINTS) -> Values:
-    """Scores at equally spaced shares of the budget, (checkpoints,): 0 before the first record, linear between, constant after the last."""
+    """Interpolates scores at equally spaced shares of the budget, (checkpoints,).
+
+    The score is 0 before the first record, linear between records, and constant after the last.
+    """
     at = np.linspace(0, 1, checkpoints)
     if len(curve) == 0:
         return np.zeros(checkpoints)
     shares, scores = np.array(curve, dtype=np.float64).T
-    # A record at a checkpoint counts for it, whatever the last bits of its share.
+    # A record at a checkpoint counts there, in spite of rounding errors of its share.
     result: Values = np.where(at < shares[0] - 1e-9, 0.0, np.interp(at, shares, scores))
     return result
 
 
 def dec_auc(curve: Sequence[Sequence[float]], checkpoints: int = CHECKPOINTS) -> float:
-    """Area under the curve of score against share of the budget."""
+    """Returns the area under the curve of score against share of the budget."""
     scores = on_checkpoints(curve, checkpoints)
     return float((scores[1:] + scores[:-1]).sum() / (2 * (checkpoints - 1)))
 
@@ -105,13 +108,16 @@ def _signed_rank(apart: Values, alternative: str) -> float:
     if len(apart) <= _FEW_PAIRS:
         return _exact_signed_rank(apart[apart != 0], alternative)
     with warnings.catch_warnings():
-        # Few pairs, or ties: the values hold all the same.
+        # SciPy warns about few pairs and about ties, but its values are valid for them.
         warnings.simplefilter("ignore")
         return float(needed("scipy.stats").wilcoxon(apart, alternative=alternative).pvalue)
 
 
 def _exact_signed_rank(apart: Values, alternative: str) -> float:
-    """The same over all signs, each as likely. SciPy tries all 2^N of them where there are ties, which takes seconds; here sums are counted."""
+    """Returns the exact p of the signed-rank test over all signs with equal probabilities.
+
+    For ties, SciPy enumerates all 2^N signs, which takes seconds. This function counts the sums instead.
+    """
     ranks = np.rint(2 * needed("scipy.stats").rankdata(np.abs(apart))).astype(int)
     ways = np.ones(1)
     for rank in ranks.tolist():
@@ -125,7 +131,7 @@ def _differences(a: Numbers, b: Numbers) -> Values:
     first, second = _numbers("a", a), _numbers("b", b)
     if len(first) != len(second):
         raise _invalid("a or b", f"{len(first)} and {len(second)} values are no pairs")
-    # Differences that are equal on paper are equal here too, so that ties are ties.
+    # Rounding makes differences equal that are equal in exact arithmetic, so that they count as ties.
     return np.round(first - second, 12)
 
 

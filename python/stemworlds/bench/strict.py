@@ -1,4 +1,4 @@
-"""Episodes of the strict tasks about defects: what was seen, column by column, and the curve of their score."""
+"""Scores episodes of the tasks about columns, column by column."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from .prior import prior_of
 
 @dataclass(eq=False, kw_only=True)
 class ColumnLedger(Ledger):
-    """What one episode has seen of columns, and what was last declared of them.
+    """Records the columns that one episode has seen, and the last declaration about them.
 
     Attributes:
-        target: the type of defect that is asked for; ``None`` for all.
+        target: the type of defect of the task; ``None`` for all types.
     """
 
     target: str | None
@@ -31,18 +31,18 @@ class ColumnLedger(Ledger):
     _held: dict[tuple[int, int], tuple[tuple[float, float], int, npt.NDArray[np.float64]]] = field(default_factory=dict)
 
     def share(self) -> float:
-        """The score of what was declared last; 0 while nothing was forecast."""
+        """Returns the score of the last declaration; 0 if it contains no forecasts."""
         if self.findings is None or not len(self.findings.forecasts) or not self._views:
             return 0.0
         return self.score().share
 
     def score(self) -> ForecastScore:
-        """All numbers of what was declared last."""
+        """Returns all numbers about the last declaration."""
         places, counts, prior = self._seen()
         return score_forecasts(self.findings, places, counts, prior)
 
     def _seen(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-        """Places, numbers of defects and the prior's chances of the columns in what was acquired, each once."""
+        """Returns places, numbers of defects and prior probabilities of the columns in the acquired areas, each column once."""
         if self._toml is None:
             self._toml = self.specimen().toml
         prior = prior_of(Recipe(self._toml))
@@ -59,7 +59,7 @@ class ColumnLedger(Ledger):
         return places, counted, np.array([chances for _, _, chances in found]).reshape(-1, classes)
 
     def truth(self, seen: Findings) -> Findings:
-        """With the forecasts of who knows the truth of what was seen."""
+        """Adds forecasts with the true numbers of defects in the seen columns to ``seen``."""
         if not self.scored:
             return seen
         places, counts, prior = self._seen()
@@ -68,11 +68,11 @@ class ColumnLedger(Ledger):
         return dataclasses.replace(seen, forecasts=np.column_stack([places, sure]))
 
     def told(self, record: dict[str, Any]) -> dict[str, Any]:
-        """The record of the episode with the scores by column."""
+        """Adds the scores by column to the record of the episode."""
         scores = record.get("scores")
         if scores is not None and self.findings is not None:
             forecast = bool(len(self.findings.forecasts)) and bool(self._views)
-            # The library's strict census takes counts, which a blind agent has right: it is not passed on.
+            # The library's strict census scores counts alone, which a blind agent can know, so its score is not passed on.
             close = {} if self.target is None else {"close": scores["strict"]}
             scores = {**scores, **close, "strict": self.share() if forecast or self.scored else None}
             if forecast:

@@ -1,4 +1,4 @@
-"""Numbers of results, before they are written anywhere."""
+"""Computes the numbers of reports from results."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from .skill import Scale, scale
 from .statistics import Equivalence, bootstrap_interval, dec_auc, on_checkpoints, paired_wilcoxon, rank_agreement, tost
 
 Values = npt.NDArray[np.float64]
-#: An agent that says nothing; one that never reads a pixel; agents; the ideal observer; agents that know the truth.
+#: An agent that declares nothing; an agent that reads no pixel; other agents; the ideal observer; agents that know the truth.
 Role = Literal["floor", "blind", "agent", "ideal", "ceiling"]
 Case = tuple[str, int]
 ROLES: tuple[Role, ...] = ("floor", "blind", "agent", "ideal", "ceiling")
 
 DIFFICULTIES = ("easy", "medium", "hard")
-#: The metrics beside DEC-AUC.
+#: The metrics except DEC-AUC.
 ALTERNATIVES = METRICS[1:]
 PAPER_BUDGET = 5000.0
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Some values: their number, mean, deviation of a sample, and the bootstrap 95 % interval of the mean where it was asked for."""
+    """Summary of values: number, mean, sample standard deviation, and optionally the 95 % bootstrap interval of the mean."""
 
     count: int
     mean: float
@@ -45,7 +45,7 @@ class Cell:
 
 
 def cell(values: Sequence[float] | Values, *, interval: bool = False) -> Cell | None:
-    """``None`` of no values."""
+    """Summarises values. Returns ``None`` for no values."""
     data = np.asarray(values, dtype=np.float64)
     if data.size == 0:
         return None
@@ -55,12 +55,12 @@ def cell(values: Sequence[float] | Values, *, interval: bool = False) -> Cell | 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two agents in the cases that both played.
+    """Comparison of two agents in the cases that both played.
 
     Attributes:
-        a, b: their names.
-        p: of the paired Wilcoxon test, two-sided; ``p_holm`` corrected for the number of pairs of the task.
-        equivalence: of the two one-sided tests.
+        a, b: names of the agents.
+        p: two-sided p of the paired Wilcoxon test; ``p_holm`` is corrected for the number of pairs of the task.
+        equivalence: result of the two one-sided tests.
     """
 
     a: str
@@ -71,7 +71,7 @@ class Pair:
 
 
 class Results:
-    """Rows of results, in an order that does not depend on that of the files."""
+    """Rows of results, sorted, so that the order of the files does not matter."""
 
     def __init__(self, paths: Iterable[str | os.PathLike[str]]) -> None:
         rows: dict[str, Row] = {}
@@ -94,7 +94,7 @@ class Results:
         self.budget: float = PAPER_BUDGET if PAPER_BUDGET in common else max(common, key=lambda budget: (common[budget], -budget))
 
     def _check(self) -> None:
-        """One name is one agent, one world and one kind of environment."""
+        """Checks that each name of an agent has one specification, and that all rows have the same options of the environment."""
         for key, what in (("agent", "specification"), ("", "environment")):
             seen: dict[str, Any] = {}
             for row in self.rows:
@@ -105,30 +105,30 @@ class Results:
                     raise _invalid("results", f"these results do not go together: {which} ({known} and {row.get(what)}); report them apart")
 
     def pick(self, agent: str, task: str, budget: float | None = None) -> list[Row]:
-        """Rows of an agent in a task, in the order of worlds and seeds."""
+        """Returns the rows of an agent in a task, sorted by world and seed."""
         return self._by.get((agent, task, self.budget if budget is None else budget), [])
 
     def values(self, agent: str, task: str, budget: float | None = None, *, world: str | None = None, metric: str = "dec_auc") -> list[float]:
-        """A metric of each row."""
+        """Returns a metric of each row."""
         return [row["metrics"][metric] for row in self.pick(agent, task, budget) if world in (None, row["world"])]
 
     def by_case(self, agent: str, task: str, budget: float | None = None) -> dict[Case, float]:
-        """DEC-AUC by world and seed."""
+        """Returns DEC-AUC by world and seed."""
         return {(row["world"], row["seed"]): row["metrics"]["dec_auc"] for row in self.pick(agent, task, budget)}
 
     def in_task(self, task: str, budget: float | None = None) -> list[str]:
-        """Agents that played a task."""
+        """Returns the agents that played a task."""
         return [agent for agent in self.agents if self.pick(agent, task, budget)]
 
     def mean_curve(self, agent: str, task: str) -> tuple[Values, Values, Values]:
-        """Mean of the curves at 50 checkpoints, and the ends of its 95 % interval (percentiles of 1000 bootstrap means)."""
+        """Returns the mean of the curves at 50 checkpoints, and the ends of its 95 % interval (percentiles of 1000 bootstrap means)."""
         curves = np.array([on_checkpoints(row["curve"]) for row in self.pick(agent, task)])
         draws = np.random.default_rng(0).multinomial(len(curves), np.full(len(curves), 1 / len(curves)), size=1000)
         low, high = np.percentile(draws @ curves / len(curves), [2.5, 97.5], axis=0)
         return curves.mean(axis=0), low, high
 
     def pairs(self, task: str) -> list[Pair]:
-        """All pairs of agents, but for ideal observers and ceilings, that share five cases or more."""
+        """Compares all pairs of agents that share at least five cases, without ideal observers and ceilings."""
         tables = {agent: self.by_case(agent, task) for agent in self.in_task(task) if self.role[agent] not in ("ideal", "ceiling")}
         found = []
         for a, b in itertools.combinations(tables, 2):
@@ -140,25 +140,27 @@ class Results:
         return [Pair(a, b, p, q, equal) for (a, b, p, equal), q in zip(found, corrected, strict=True)]
 
     def agreement(self, task: str) -> dict[str, float] | None:
-        """Spearman's rho of the agents' means by DEC-AUC and by each other metric, without floor and ceilings, which all metrics put
-        at the ends; ``None`` for fewer than three agents."""
+        """Returns Spearman's rho between the agents' means of DEC-AUC and of each other metric; ``None`` for fewer than three agents.
+
+        Floor and ceilings are excluded, since all metrics rank them at the ends.
+        """
         agents = [agent for agent in self.in_task(task) if self.role[agent] == "agent"]
         if len(agents) < 3:
             return None
         means = {
             metric: [float(np.mean(self.values(agent, task, metric=metric))) for agent in agents] for metric in ("dec_auc", *ALTERNATIVES)
         }
-        # An early time is a good one.
+        # A short time is good, while for the other metrics a large value is good.
         means["time_to_threshold"] = [-value for value in means["time_to_threshold"]]
         return {metric: rank_agreement(np.round(means["dec_auc"], 9), np.round(means[metric], 9)) for metric in ALTERNATIVES}
 
     def discretisation(self) -> dict[tuple[int, int], float]:
-        """The largest change of DEC-AUC of an episode from one number of checkpoints to another."""
+        """Returns the largest change of an episode's DEC-AUC from one number of checkpoints to another."""
         areas = {count: np.array([dec_auc(row["curve"], count) for row in self.rows]) for count in (20, 50, 100)}
         return {pair: float(np.abs(areas[pair[0]] - areas[pair[1]]).max()) for pair in ((20, 50), (50, 100))}
 
     def by_difficulty(self, agent: str, task: str) -> dict[str, list[float]]:
-        """DEC-AUC by difficulty, of the materials that have all of those that the results hold."""
+        """Returns DEC-AUC by difficulty, for the materials with results in all difficulties."""
         found: dict[str, dict[str, list[float]]] = {}
         for row in self.pick(agent, task):
             if row.get("difficulty") in DIFFICULTIES:
@@ -172,7 +174,7 @@ class Results:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Holm's correction for as many tests."""
+    """Applies Holm's correction for the number of tests."""
     out = [1.0] * len(p)
     least = 0.0
     for rank, index in enumerate(sorted(range(len(p)), key=lambda n: p[n])):
@@ -182,7 +184,7 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def ranking(results: Results, task: str, budget: float) -> dict[str, Any] | None:
-    """Agents of a task by their means, in the cases that all of them played."""
+    """Ranks the agents of a task by their means, in the cases that all of them played."""
     tables = {agent: results.by_case(agent, task, budget) for agent in results.in_task(task, budget)}
     if not tables:
         return None
@@ -234,7 +236,7 @@ def _skill(between: Scale | None, agent: str) -> float | None:
 
 
 def files(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """One path or several."""
+    """Returns a list of paths from one path or several."""
     return [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
 
 
@@ -243,7 +245,7 @@ def _role(row: Row) -> Role:
     analyst = specification.get("analyst", {}).get("kind")
     if (specification.get("navigator") or {}).get("kind") == "truth":
         return "ceiling"
-    # Files of older versions hold agents that know the columns with defects: "columns".
+    # Files of older versions contain agents with the analyst "columns", which know the columns with defects.
     roles: dict[Any, Role] = {"nothing": "floor", "prior": "blind", "ideal": "ideal", "oracle": "ceiling", "columns": "ceiling"}
     return roles.get(analyst, "agent")
 

@@ -1,4 +1,4 @@
-"""What a column's image looks like with 0, 1, 2 ... defects, learned from noise-free images of the library."""
+"""Learns the image of a column with 0, 1, 2 ... defects from noise-free images of the library."""
 
 from __future__ import annotations
 
@@ -18,31 +18,32 @@ from .extras import needed
 Values = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
-#: Seed of the specimen that is learned from: even as those of the split for training, and none that the prior counts.
+#: Seed of the training specimen. It is even, as all seeds of the training split, and differs from the prior's seeds.
 LEARNED_SEED = 10
-#: Tiles that are learned from.
+#: Number of training tiles.
 _TILES = 64
-#: Columns are looked at within half the distance of neighbours and a little more, from and to so many nm.
+#: A template's radius is half the distance of neighbours plus the first number (nm), limited to the range of the second (nm).
 _BEYOND_NM, _RADIUS_NM = 0.02, (0.06, 0.12)
-#: Ways in which images of equal columns differ: principal components beyond the mean. What is left is taken for noise of each pixel.
+#: Number of principal components of the differences between images of equal columns. The rest is treated as independent noise of each
+#: pixel.
 MODES = 8
 #: Fewest columns from which a template is made.
 _LEAST_COLUMNS = 40
-#: Most of them that a mixture remembers.
+#: Most columns that the grade ``mixture`` stores.
 _MOST_SAMPLES = 400
 
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """Images about the columns of one kind, on a square grid of the field's pixels with the column in its middle.
+    """Images around the columns of one kind, on a square grid of the field's pixels with the column in its centre.
 
     Attributes:
-        layers: spline coefficients ``[layer, y, x]``: the mean without a defect, the change by one defect, the modes, each as large as its
-            standard deviation, and last the standard deviation of what is left.
-        modes: how many modes.
-        samples: the modes' sizes in the columns that were learned from, ``[column, mode]``.
+        layers: spline coefficients ``[layer, y, x]``: the mean without a defect, the change by one defect, the modes, scaled to their
+            standard deviation, and last the standard deviation of the rest.
+        modes: number of modes.
+        samples: amplitudes of the modes in the training columns, ``[column, mode]``.
         pixel_nm: edge of a pixel of the grid.
-        radius_nm: how far from the column it is meant for.
+        radius_nm: distance from the column up to which the template is used.
     """
 
     layers: Values
@@ -52,7 +53,7 @@ class Template:
     radius_nm: float
 
     def at(self, x_nm: Values, y_nm: Values) -> Values:
-        """All layers at distances from the column, ``[layer, ...]``."""
+        """Interpolates all layers at distances from the column, ``[layer, ...]``."""
         ndimage = needed("scipy.ndimage")
         middle = (self.layers.shape[1] - 1) / 2
         places = np.stack([y_nm / self.pixel_nm + middle, x_nm / self.pixel_nm + middle])
@@ -61,10 +62,10 @@ class Template:
 
 @functools.lru_cache(maxsize=16)
 def templates_of(toml: str, target: str | None) -> dict[str, Template]:
-    """Templates by kind of column, for defects of a type or of all; kinds that hold no defect have none.
+    """Returns the templates by kind of column, for defects of the type ``target``, or of all types.
 
-    A kind of which too few columns were seen has none either, and so have particles, which lie as they like and show no columns: there the
-    posterior is the prior.
+    A kind without defects, or with too few columns in the training tiles, has no template. Particles have none either, since they have
+    random orientations and show no columns. Without a template the posterior is the prior.
     """
     if "particles" in tomllib.loads(toml):
         return {}
@@ -79,7 +80,7 @@ def templates_of(toml: str, target: str | None) -> dict[str, Template]:
 
 
 def _patches(recipe: Recipe, target: str | None) -> tuple[dict[str, Values], dict[str, Whole], float, float]:
-    """Noise-free images about columns by kind, ``[column, y, x]``, and their numbers of defects."""
+    """Returns noise-free images around columns by kind, ``[column, y, x]``, their numbers of defects, pixel size and radius in nm."""
     ndimage, spatial = needed("scipy.ndimage"), needed("scipy.spatial")
     samples = stream(recipe, angle_deg=0.0, seed=LEARNED_SEED).samples(range(_TILES))
     every: dict[str, list[Values]] = {}
@@ -111,18 +112,18 @@ def _patches(recipe: Recipe, target: str | None) -> tuple[dict[str, Values], dic
 
 
 def _template(patches: Values, counts: Whole, pixel_nm: float, radius_nm: float) -> Template:
-    """The template of one kind: a straight line in the number of defects, and what deviates from it."""
+    """Fits the template of one kind: a mean image that is linear in the number of defects, and the modes of the deviations."""
     ndimage = needed("scipy.ndimage")
     shape, flat = patches.shape[1:], patches.reshape(len(patches), -1)
     lines = np.column_stack([np.ones(len(counts)), counts])
     (mean, change), *_ = np.linalg.lstsq(lines, flat, rcond=None)
     off = flat - lines @ np.stack([mean, change])
-    # The modes of what the template is meant for, not of the margin for interpolation.
+    # The margin for interpolation is excluded from the modes.
     y, x = np.mgrid[: shape[0], : shape[1]] - (shape[0] - 1) / 2
     inside = (np.hypot(x, y) * pixel_nm <= radius_nm + pixel_nm).ravel()
     modes = min(MODES, int(inside.sum()))
     scores, sizes, _ = np.linalg.svd(off[:, inside], full_matrices=False)
-    # The sign of a mode is free: the greatest weight is positive, so that a template is the same on each machine.
+    # The sign of a mode is arbitrary. Its greatest weight is made positive, so that templates are equal on all machines.
     weights = scores[:, :modes] * np.sqrt(len(off))
     shapes = weights.T @ off / len(off)
     signs = np.sign(shapes[np.arange(modes), np.abs(shapes).argmax(axis=1)])

@@ -1,4 +1,4 @@
-"""How long an experiment takes, by the times of episodes that were played."""
+"""Estimates the duration of an experiment from the times of finished episodes."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _REFERENCE_BUDGET = 5000.0
 
 @dataclass(frozen=True)
 class TimeLeft:
-    """What is left of an experiment.
+    """The rest of an experiment.
 
     Attributes:
-        left: episodes that the file of results does not hold.
-        seconds: they take by the times in it, all processes busy; ``None`` where it holds no episode of the experiment's agents.
-        guessed: agents of which it holds none: they are taken for as slow as the others are on average.
+        left: number of episodes that are not in the file of results.
+        seconds: estimated duration with all processes busy; ``None`` if the file contains no episode of the remaining agents.
+        guessed: agents without an episode in the file. They get the mean time of the others.
     """
 
     left: int
@@ -41,8 +41,11 @@ class TimeLeft:
 
 
 def forecast_of_time(experiment: Experiment, out: str | os.PathLike[str], processes: int | None) -> TimeLeft:
-    """The episodes that are left, and their time: of each the median of those of the same agent, task and world, or of the same agent, each in
-    proportion to the budget."""
+    """Counts the remaining episodes, and estimates their time.
+
+    The estimate for an episode is the median time of its agent in its task and world, or of its agent in all of them, in proportion to the
+    budget.
+    """
     rows = [row for row in _rows(Path(out)) if "error" not in row] if Path(out).is_file() else []
     known = {row["key"] for row in rows}
     left = [episode for episode in experiment if episode.key not in known]
@@ -57,7 +60,7 @@ def forecast_of_time(experiment: Experiment, out: str | os.PathLike[str], proces
 
 
 def _times(rows: list[Row]) -> Mapping[tuple[str, ...], float]:
-    """Median seconds of an episode at the reference budget, by agent, and by agent, task and world."""
+    """Returns the median seconds of an episode at the reference budget, by agent, and by agent, task and world."""
     found: dict[tuple[str, ...], list[float]] = {}
     for row in rows:
         if row.get("wall"):

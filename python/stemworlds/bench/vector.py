@@ -1,4 +1,4 @@
-"""Many environments at once, stepped by one call of the library."""
+"""Steps many environments in one call of the library."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Arrays = dict[str, npt.NDArray[Any]]
 
 
 class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.NDArray[Any]]):
-    """Environments as :class:`MicroscopeEnv`, stepped together in threads. Each does exactly what a single one with its seed does.
+    """Steps many environments in threads. Each gives the results of a single :class:`MicroscopeEnv` with its seed.
 
-    After the end of an episode the next step begins another one in its place (``AutoresetMode.NEXT_STEP``).
+    After the end of an episode, the next step begins another one in its place (``AutoresetMode.NEXT_STEP``).
 
     Args:
-        num_envs: how many.
-        max_episode_steps: the same as ``horizon``; the lesser counts.
-        **options: as for :class:`MicroscopeEnv`.
+        num_envs: number of environments.
+        max_episode_steps: largest number of steps, as ``horizon``; the smaller one counts.
+        **options: options of :class:`MicroscopeEnv`.
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}  # noqa: RUF012 (as Gymnasium declares it)
@@ -51,11 +51,11 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
             raise _invalid("num_envs", f"num_envs = {num_envs}: expected a whole number above 0")
         self.num_envs = num_envs
         if max_episode_steps is not None:
-            # As gymnasium.make_vec passes it.
+            # gymnasium.make_vec passes this argument.
             options["horizon"] = min(max_episode_steps, options.get("horizon", max_episode_steps))
         self._made_of: dict[str, Any] = {"count": num_envs, "task": task, "strict": strict, **options}
         self._episodes = Episodes(**self._made_of)
-        #: What was done in the episode of each environment.
+        #: The steps in the current episode of each environment.
         self._done: list[list[tuple[Any, ...]]] = [[] for _ in range(num_envs)]
         self.render_mode = render_mode
         single = observation_space(self.field)
@@ -69,11 +69,11 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
 
     @property
     def field(self) -> FieldFacts:
-        """What is known of the field before anything is looked at."""
+        """The facts of the field that are known before the first acquisition."""
         return self._episodes.field
 
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
-        """Begins another episode in each environment. A single seed gives environment ``n`` the seed ``seed + n``."""
+        """Begins an episode in each environment. With a single seed, environment ``n`` gets the seed ``seed + n``."""
         seeds = [None if seed is None else seed + n for n in range(self.num_envs)] if seed is None or isinstance(seed, int) else list(seed)
         if len(seeds) != self.num_envs:
             raise _invalid("seed", f"{len(seeds)} seeds for {self.num_envs} environments")
@@ -88,7 +88,7 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
         return self._observations(found), self._info(found)
 
     def __getstate__(self) -> dict[str, Any]:
-        """As that of :class:`MicroscopeEnv`."""
+        """Returns the state for pickle: options, and the steps of the current episodes."""
         state = dict(vars(self))
         del state["_episodes"]
         return state
@@ -97,13 +97,13 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
         vars(self).update(state)
         self._episodes = Episodes(**self._made_of)
         if None in self._seeds:
-            # Not one episode has begun.
+            # No episode has begun, so there is nothing to repeat.
             return
         most = max(map(len, self._done))
         for step in range(most + 1):
             moves = Moves.none(self.num_envs)
             for n, own in enumerate(self._done):
-                # All end with the same step; those that have done less begin later.
+                # All environments finish at the same step, so shorter episodes begin later.
                 at = step - (most - len(own)) - 1
                 if at < 0:
                     moves.begin[n] = self._seeds[n]
@@ -130,8 +130,10 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
             self._seeds[n] = (known[0], known[1] + 1)
 
     def step(self, actions: Mapping[str, Any]) -> tuple[Arrays, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
-        """One step of all. ``actions`` holds arrays (``type``, ``position``, ``zoom``, ``dose``) and a list ``report``; what it lacks
-        takes its default."""
+        """Executes one action in each environment.
+
+        ``actions`` holds arrays (``type``, ``position``, ``zoom``, ``dose``) and a list ``report``. Missing keys take their defaults.
+        """
         count = self.num_envs
         moves = Moves.none(count)
         moves.kinds = kinds(np.asarray(type_of(actions)).reshape(count).tolist())
@@ -177,11 +179,11 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
         return info
 
     def truth_seen(self, n: int) -> Findings:
-        """The truth of what environment ``n`` has seen."""
+        """Returns the truth of the tiles that environment ``n`` has acquired."""
         return self._episodes.truth_seen(n)
 
     def record(self, n: int) -> dict[str, Any]:
-        """What environment ``n`` has done so far, and its scores."""
+        """Returns the record of the episode of environment ``n`` so far, with its scores."""
         return self._episodes.record(n)
 
 

@@ -23,22 +23,22 @@ __all__ = ["VisionLanguageAnalyst"]
 
 Values = npt.NDArray[np.float64]
 
-#: More defects than a tile has atoms, and more phases than a field: such a reply makes no sense.
+#: Most defects and phases in a valid reply. A tile has fewer atoms, and a field fewer phases.
 _MOST_DEFECTS = 1000
 _MOST_PHASES = 256
-#: A defect that the model sees belongs to an atom nearer than this, in pixels of the tile.
+#: Largest distance, in pixels of the tile, between a defect in the reply and its atom.
 _NEAR_PX = 8.0
 _KINDS = ("vacancy", "substitution")
 
 
 class VisionLanguageAnalyst(TileByTile):
-    """Atoms are found conventionally; a vision-language model says which of them are defects, tile by tile.
+    """Finds atoms by peaks, and asks a vision-language model for the defects among them, tile by tile.
 
-    The tile is sent as a PNG of 256 x 256 pixels. A defect that the model sees is put on the nearest atom within 8 pixels, or left where it
-    was said to be. A reply that cannot be read is no finding, and counted in the record of the episode.
+    The tile is sent as a PNG of 256 x 256 pixels. A defect in the reply is moved to the nearest atom within 8 pixels, or keeps its place if
+    there is none. An unreadable reply gives no findings, and is counted in the record of the episode.
 
     Args:
-        endpoint: an OpenAI-compatible service whose model takes images.
+        endpoint: an OpenAI-compatible service with a model that accepts images.
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
@@ -68,7 +68,7 @@ class VisionLanguageAnalyst(TileByTile):
             self._phases[tile.row, tile.column] = said["phase"]
 
     def _placed(self, named: list[tuple[str, float, float]], peaks: Peaks, score: Values, tile: Acquired) -> Values:
-        """Places (N, 2) of the defects of one kind; marks the atoms that they are."""
+        """Returns the places (N, 2) of the defects of one kind, and marks their atoms."""
         rows, columns = np.array([d[1] for d in named]), np.array([d[2] for d in named])
         for number, (row, column) in enumerate(zip(rows, columns, strict=True)):
             if score.size:
@@ -89,7 +89,7 @@ class VisionLanguageAnalyst(TileByTile):
         return Findings(counts=None, defects=self._defects.arrays(), phases=phases, columns=columns)
 
     def notes(self) -> dict[str, float]:
-        """For the record of the episode."""
+        """Returns numbers for the record of the episode."""
         calls, retried = self._before
         return {
             "model_calls": self.endpoint.calls - calls,
@@ -99,7 +99,7 @@ class VisionLanguageAnalyst(TileByTile):
 
 
 def _read(reply: str) -> dict[str, Any]:
-    """Defects as (kind, row, column), and the phase."""
+    """Reads the defects as (kind, row, column), and the phase, from a reply."""
     told = json_of(reply)
     defects = told.get("defects", [])
     if not isinstance(defects, list) or len(defects) > _MOST_DEFECTS:
@@ -119,7 +119,7 @@ def _read(reply: str) -> dict[str, Any]:
 
 
 def png_of(image: npt.NDArray[np.float32], times: int = 2) -> bytes:
-    """A grey PNG of an image in [0, 1], each pixel ``times`` wide and high."""
+    """Returns a grey PNG of an image in [0, 1], with each pixel enlarged ``times`` times."""
     grey = np.clip(np.rint(image * 255), 0, 255).astype(np.uint8).repeat(times, axis=0).repeat(times, axis=1)
     height, width = grey.shape
     rows = np.zeros((height, width + 1), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Wrappers for libraries of reinforcement learning, which take no dicts of actions."""
+"""Wrappers for reinforcement-learning libraries, which do not accept dicts of actions."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .environment import MicroscopeEnv, Observation, Step
 from .episodes import ACQUIRE, DONE, Acquired
 from .findings import Findings
 
-#: Says what was found, of everything that was seen so far.
+#: Returns the findings in all tiles acquired so far.
 Analyse = Callable[[Sequence[Acquired]], Findings]
 
-#: Zooms and doses that :class:`GridChoice` offers.
+#: Zooms, and doses in units of the reference dose, that :class:`GridChoice` offers.
 ZOOMS = (1.0, 2.0, 4.0)
 DOSES = (0.5, 1.0, 2.0)
 
@@ -28,16 +28,17 @@ def _nothing(seen: Sequence[Acquired]) -> Findings:
 
 
 class _Deciding(gym.Wrapper[Observation, Any, Observation, Any], RecordConstructorArgs):
-    """An environment whose analyst declares after each acquisition what it has found; the agent decides where to look.
+    """An environment in which the agent chooses the places, and an analyst declares its findings after every ``declare_every``
+    acquisitions.
 
-    ``analyse`` gets everything that was acquired in the episode, or is an object with a method of that name.
+    ``analyst`` is a function of all tiles acquired in the episode, or an object with the method ``analyse``.
     """
 
-    #: A step of an agent is several of the environment.
+    #: One step of the agent consists of several steps of the environment.
     several_steps = True
 
     def __init__(self, env: gym.Env[Any, Any], analyst: Any, declare_every: int, **others: Any) -> None:
-        # With it an environment can be made again from its specification.
+        # Gymnasium needs the recorded arguments to make the environment again from its specification.
         RecordConstructorArgs.__init__(self, analyst=analyst, declare_every=declare_every, **others)
         gym.Wrapper.__init__(self, env)
         self._analyst = analyst
@@ -47,13 +48,13 @@ class _Deciding(gym.Wrapper[Observation, Any, Observation, Any], RecordConstruct
 
     @property
     def microscope(self) -> MicroscopeEnv:
-        """The environment inside."""
+        """The wrapped environment."""
         inside = self.unwrapped
         assert isinstance(inside, MicroscopeEnv)
         return inside
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Begins another episode, and tells the analyst, where it has a method ``reset``."""
+        """Begins another episode. Calls the analyst's method ``reset``, if it has one."""
         self._seen.clear()
         out = super().reset(seed=seed, options=options)
         tell = getattr(self._analyst, "reset", None)
@@ -62,12 +63,12 @@ class _Deciding(gym.Wrapper[Observation, Any, Observation, Any], RecordConstruct
         return out
 
     def _do(self, action: dict[str, Any]) -> Step:
-        """A step of the environment inside."""
+        """Executes one step of the wrapped environment."""
         seen, reward, terminated, truncated, info = self.env.step(action)
         return seen, float(reward), terminated, truncated, info
 
     def _acquire(self, position: npt.ArrayLike, zoom: float = 1.0, dose: float = 1.0) -> Step:
-        """Goes there, acquires, and declares."""
+        """Moves to a place, acquires a tile, and declares if a declaration is due."""
         went = self._do({"type": 0, "position": np.asarray(position, dtype=np.float32)})
         if went[2] or went[3]:
             return went
@@ -84,13 +85,14 @@ class _Deciding(gym.Wrapper[Observation, Any, Observation, Any], RecordConstruct
 
 
 class DiscreteGrid(_Deciding):
-    """The paper's 192 actions: 8 x 8 cells times going there, acquiring there, and ending the episode.
+    """The STEMGym paper's 192 actions: moving, acquiring, or ending the episode, for each of 8 x 8 cells.
 
-    Action ``3 * cell + what``: 0 goes to the middle of the cell, 1 acquires there and declares what the analyst finds, 2 ends.
+    An action is ``3 * cell + what``. ``what`` = 0 moves to the centre of the cell, 1 acquires there and declares the analyst's findings, 2
+    ends the episode.
 
     Args:
         env: a :class:`MicroscopeEnv`, wrapped or not.
-        analyst: called with everything that was acquired, returns :class:`Findings`; or an object with a method ``analyse``.
+        analyst: function of all acquired tiles that returns :class:`Findings`, or an object with this function as its method ``analyse``.
         cells: cells along each axis.
         declare_every: acquisitions from one declaration to the next.
     """
@@ -105,7 +107,7 @@ class DiscreteGrid(_Deciding):
         return np.array([(column + 0.5) / self._cells, (row + 0.5) / self._cells], dtype=np.float32)
 
     def step(self, action: Any) -> Step:
-        """Does one of the actions."""
+        """Executes one of the actions."""
         cell, what = divmod(int(action), 3)
         if what == 2:
             return self._do({"type": DONE})
@@ -114,7 +116,7 @@ class DiscreteGrid(_Deciding):
         return self._do({"type": 0, "position": self._centre(cell)})
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
-        """Which actions are of use: for MaskablePPO. A cell is acquired once."""
+        """Returns a mask of the useful actions for MaskablePPO. Each cell is acquired once."""
         go, acquire, _, end = self.microscope.action_masks()
         fits = self.microscope.field.budget - self.microscope.record()["spent"] >= 100.0
         visited = {tuple(self._cell_of(what)) for what in self._seen}
@@ -129,10 +131,10 @@ class DiscreteGrid(_Deciding):
 
 
 class TargetBox(_Deciding):
-    """The paper's continuous actions: a place in ``[0, 1]^2``, which is acquired; the analyst then declares what it finds.
+    """The STEMGym paper's continuous actions: acquires at a place in ``[0, 1]^2``, and declares the analyst's findings.
 
     Args:
-        env, analyst, declare_every: as for :class:`DiscreteGrid`.
+        env, analyst, declare_every: see :class:`DiscreteGrid`.
     """
 
     def __init__(self, env: gym.Env[Any, Any], analyst: Any = None, declare_every: int = 1) -> None:
@@ -145,10 +147,10 @@ class TargetBox(_Deciding):
 
 
 class GridChoice(_Deciding):
-    """``MultiDiscrete``: row and column of a grid of places, and which of :data:`ZOOMS` and :data:`DOSES`.
+    """``MultiDiscrete`` actions: row and column of a grid of places, and indices into :data:`ZOOMS` and :data:`DOSES`.
 
     Args:
-        env, analyst, cells, declare_every: as for :class:`DiscreteGrid`.
+        env, analyst, cells, declare_every: see :class:`DiscreteGrid`.
     """
 
     def __init__(self, env: gym.Env[Any, Any], analyst: Any = None, cells: int = 8, declare_every: int = 1) -> None:
@@ -164,7 +166,7 @@ class GridChoice(_Deciding):
 
 
 class ByteImages(gym.ObservationWrapper[Observation, Any, Observation], RecordConstructorArgs):
-    """Tile and overview as uint8 with one channel, ``(rows, columns, 1)``: what convolutional policies take for images."""
+    """Converts tile and overview to uint8 with one channel, ``(rows, columns, 1)``, the image format of convolutional policies."""
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self)
@@ -177,7 +179,7 @@ class ByteImages(gym.ObservationWrapper[Observation, Any, Observation], RecordCo
         self.observation_space = cast("spaces.Space[Observation]", spaces.Dict(kept))
 
     def observation(self, observation: Observation) -> Observation:
-        """The same with images as bytes."""
+        """Returns the observation with images as bytes."""
         out = dict(observation)
         for name in ("tile", "overview"):
             out[name] = np.round(255 * out[name][..., None]).astype(np.uint8)

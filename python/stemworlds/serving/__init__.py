@@ -1,4 +1,4 @@
-"""A microscope that other programs drive over a socket; see ``docs/serve.md``."""
+"""Serves a simulated microscope that other programs control over a socket; see ``docs/serve.md``."""
 
 from .microscope import Microscope
 from .server import Client, Server

@@ -1,4 +1,4 @@
-"""``stemworlds serve``: a microscope on a socket."""
+"""Implements ``stemworlds serve``, a simulated microscope on a socket."""
 
 from __future__ import annotations
 
@@ -21,35 +21,37 @@ examples:
   stemworlds serve srtio3 --difficulty easy
   stemworlds serve mine.toml --port 9001 --profile routine --current 50
 
-The specimen changes under the beam as the table [damage] of the recipe says. Clients: docs/serve.md.
+The beam changes the specimen as the table [damage] of the recipe specifies. Clients: docs/serve.md.
 """
 
 
 def parser() -> argparse.ArgumentParser:
-    """The arguments."""
+    """Returns the parser of the command line."""
     made = argparse.ArgumentParser(
         prog="stemworlds serve",
-        description="Serves a microscope with a specimen that other programs drive over a socket.",
+        description="Serve a simulated microscope with a specimen. Other programs control it over a socket.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    made.add_argument("recipe", help="name or TOML file of a recipe")
-    made.add_argument("--difficulty", choices=["easy", "medium", "hard"], help="tier, where the recipe has some")
-    made.add_argument("--grid", metavar="RxC", help="only the central tiles")
+    made.add_argument("recipe", help="name of a recipe, or its TOML file")
+    made.add_argument("--difficulty", choices=["easy", "medium", "hard"], help="tier of the recipe, if it has tiers")
+    made.add_argument("--grid", metavar="RxC", help="build the central tiles only, R rows and C columns")
     made.add_argument("--seed", type=int, help="seed of the specimen")
-    made.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a value of the recipe; TOML")
-    made.add_argument("--host", default=ADDRESS[0], help="address to listen on (default: %(default)s, this computer only)")
-    made.add_argument("--port", type=int, default=ADDRESS[1], help="port (default: %(default)s; 0 takes a free one)")
-    made.add_argument("--profile", choices=["ideal", "routine", "poor"], default="ideal", help="errors of scan and detector")
-    made.add_argument("--fov", type=float, default=50.0, metavar="ANGSTROM", help="field of view (default: %(default)s)")
-    made.add_argument("--current", type=float, default=20.0, metavar="PA", help="current of the beam (default: %(default)s)")
-    made.add_argument("--most-dose", type=float, default=1e6, help="greatest dose of any place, in electrons per square Angstrom (default: 1e6)")
-    made.add_argument("--threads", type=int, help="number of threads")
+    made.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a value of the recipe (TOML)")
+    made.add_argument("--host", default=ADDRESS[0], help="address for connections (default: %(default)s, from this computer only)")
+    made.add_argument("--port", type=int, default=ADDRESS[1], help="port (default: %(default)s; 0 chooses a free port)")
+    made.add_argument("--profile", choices=["ideal", "routine", "poor"], default="ideal", help="errors of scan and detector (default: %(default)s)")
+    made.add_argument("--fov", type=float, default=50.0, metavar="ANGSTROM", help="edge of the field of view in Angstrom (default:
+    %(default)s)")
+    made.add_argument("--current", type=float, default=20.0, metavar="PA", help="current of the beam in pA (default: %(default)s)")
+    made.add_argument("--most-dose", type=float, default=1e6, help="greatest total dose of a place, in electrons per square Angstrom
+    (default: 1e6)")
+    made.add_argument("--threads", type=int, help="number of threads (default: all processors)")
     return made
 
 
 def main(arguments: list[str]) -> int:
-    """Serves until it is interrupted; returns the exit code."""
+    """Serves until Ctrl-C. Returns the exit code."""
     given = parser().parse_args(arguments)
     try:
         grid = None if given.grid is None else _grid(given.grid)
@@ -63,7 +65,7 @@ def main(arguments: list[str]) -> int:
             world = LiveWorld(changed, most_dose=given.most_dose, threads=given.threads, progress=True)
             return Microscope(world, profile=given.profile, fov_angstrom=given.fov, current_pa=given.current)
 
-        # The port is taken before the minutes that the specimen may take.
+        # The server opens its port before it makes the specimen, which may take minutes, so that a used port is reported at once.
         server = Server(microscope, (given.host, given.port))
     except (errors.StemworldsError, ValueError, OSError, OverflowError) as error:
         print(f"stemworlds serve: {printable(_told(error, given.host, given.port))}", file=sys.stderr)
@@ -81,7 +83,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _told(error: Exception, host: str, port: int) -> str:
-    """What an error says; of the socket, which address and what to do."""
+    """Returns the message of an error. For an error of the socket it contains the address and a remedy."""
     if isinstance(error, OSError) and not isinstance(error, errors.StemworldsError):
         return f"{host}:{port}: {error.strerror or error}; --host and --port name another address"
     if isinstance(error, OverflowError):
@@ -96,7 +98,7 @@ def _change(text: str) -> tuple[str, Any]:
     try:
         return key.strip(), tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
-        # Plain words need no quotes.
+        # A word without quotes is no TOML, and is used as a text.
         return key.strip(), value.strip()
 
 

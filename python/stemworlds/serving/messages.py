@@ -1,8 +1,8 @@
-"""Messages of asyncroscopy's servers and clients: what they look like on the wire.
+"""Reads and writes the messages of asyncroscopy's servers and clients.
 
-A message is its length, four bytes, the greatest first, and so many bytes. A request is text: ``AS_get_scanned_image size=256
-dwell_time=2e-6``, a verb with or without the name of a server before it, and words ``key=value``. An answer is ``[dtype,shape]`` and
-the bytes of an array, or ``[str,length]`` and text. (Its servers: https://github.com/pycroscopy/asyncroscopy.)
+A message begins with its length in four bytes, the most significant first. A request is text, for example ``AS_get_scanned_image size=256
+dwell_time=2e-6``: a verb, with or without the prefix of a server, and words ``key=value``. An answer is ``[dtype,shape]`` and the bytes of
+an array, or ``[str,length]`` and text. The original servers: https://github.com/pycroscopy/asyncroscopy.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-#: Longest request.
+#: Longest request in bytes.
 LONGEST_REQUEST = 1 << 16
-#: Longest answer.
+#: Longest answer in bytes.
 LONGEST_ANSWER = 1 << 30
-#: Names of servers that may stand before a verb.
+#: Names of servers that may precede a verb.
 SERVERS = ("AS", "Gatan", "Ceos", "Central")
 
 Answer = str | npt.NDArray[Any]
 
 
 def packed(answer: Answer) -> bytes:
-    """An answer as bytes."""
+    """Converts an answer to bytes."""
     if isinstance(answer, str):
         text = answer.encode()
         return f"[str,{len(text)}]".encode() + text
@@ -35,10 +35,10 @@ def packed(answer: Answer) -> bytes:
 
 
 def unpacked(message: bytes) -> Answer:
-    """The answer that bytes are.
+    """Reads an answer from bytes.
 
     Raises:
-        ValueError: for bytes that are none.
+        ValueError: for bytes that are no answer.
     """
     head, closed, body = message.partition(b"]")
     if not closed or not head.startswith(b"["):
@@ -50,12 +50,12 @@ def unpacked(message: bytes) -> Answer:
 
 
 def parsed(request: str) -> tuple[str, dict[str, str]]:
-    """The verb of a request, without the name of a server, and its arguments.
+    """Splits a request. Returns its verb, without the name of a server, and its arguments.
 
     Raises:
-        ValueError: for an empty request, and words that are no ``key=value``.
+        ValueError: for an empty request, and for words without the form ``key=value``.
     """
-    # Tuples may hold spaces: a word without = goes on with the last one.
+    # Tuples may contain spaces, so a word without = belongs to the word before it.
     verb, *words = request.split()
     arguments: dict[str, str] = {}
     last = None
@@ -74,19 +74,19 @@ def parsed(request: str) -> tuple[str, dict[str, str]]:
 
 
 def send(connection: socket.socket, message: bytes) -> None:
-    """Sends a message with its length before it."""
+    """Sends the length of a message, and the message."""
     connection.sendall(struct.pack("!I", len(message)) + message)
 
 
 def receive(connection: socket.socket, longest: int, *, idle_s: float | None = None, message_s: float | None = None) -> bytes | None:
-    """The next message; ``None`` where the other side has closed the connection, or has said nothing for ``idle_s``.
+    """Receives the next message. Returns ``None`` if the other side has closed the connection, or has sent nothing for ``idle_s``.
 
     Args:
-        message_s: seconds from the first byte of a message to the last.
+        message_s: greatest number of seconds from the first to the last byte of a message.
 
     Raises:
-        ValueError: for a message that is longer than ``longest``.
-        ConnectionError: where it ends early, or comes too slowly.
+        ValueError: for a message longer than ``longest``.
+        ConnectionError: if the message ends early, or arrives too slowly.
     """
     if idle_s is not None:
         connection.settimeout(idle_s)

@@ -1,4 +1,4 @@
-"""The verbs that clients use, and the state that they change."""
+"""The simulated microscope: the verbs for clients, and its state."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from .messages import Answer
 
 Arguments = Mapping[str, str]
 
-#: Longest frame in s; as long as asyncroscopy's own server takes.
+#: Longest frame in s, as in asyncroscopy's own server.
 LONGEST_FRAME_S = 600.0
-#: Time on a pixel in s, which recordings take. A longer rest of the beam is recorded in parts.
+#: Limits of the time on a pixel in s. A longer exposure by the resting beam is recorded in parts.
 DWELL_S = (1e-8, 1.0)
-#: Edge of a pixel in Angstrom.
+#: Limits of the edge of a pixel in Angstrom.
 PIXEL_ANGSTROM = (1e-3, 100.0)
-#: Current of the beam in pA.
+#: Limits of the current of the beam in pA.
 CURRENT_PA = (1e-3, 1e6)
-#: Least field of view in Angstrom; the greatest is the specimen.
+#: Least field of view in Angstrom. The greatest one is the specimen.
 LEAST_FOV_ANGSTROM = 1.0
-#: Edge in nm of the square that a beam at rest hits.
+#: Edge in nm of the square that a resting beam exposes.
 BEAM_NM = 0.1
-#: Rows and columns of an image.
+#: Limits of the number of rows and columns of an image.
 SIZES = (8, 4096)
-#: What verbs take that change something or record. A name that is spelt otherwise would be a silent default.
+#: Arguments of the verbs that change the state or record. They are checked, since a misspelt name would silently use the default.
 _TAKES = {
     "set_stage": {"x", "y", "z", "a", "b", "relative"},
     "set_fov": {"fov"},
@@ -46,19 +46,19 @@ _TAKES = {
 
 
 class Microscope:
-    """A microscope with a specimen that its electrons change. One call at a time works on it.
+    """A microscope with a specimen that its electrons change. Its calls run one after the other.
 
-    Every public method is a verb. Lengths on the wire have the units of the programs that are imitated: the stage is in m, the field
-    of view in Angstrom, currents in pA, times in s, and the beam in fractions of the field of view.
+    Every public method except :meth:`answer` is a verb. Units are those of asyncroscopy: the stage is in m, the field of view in Angstrom,
+    currents are in pA, times in s, and the beam is in fractions of the field of view.
 
     Args:
         world: the specimen.
-        profile: errors of scan and detector: ``"ideal"``, ``"routine"``, ``"poor"``.
+        profile: profile with the errors of scan and detector: ``"ideal"``, ``"routine"``, ``"poor"``.
         fov_angstrom: edge of the field of view.
         current_pa: current of the beam.
 
     Raises:
-        ValueError: for a field of view that is larger than the specimen, and a current out of limits.
+        ValueError: for a field of view larger than the specimen, and a current out of limits.
     """
 
     def __init__(self, world: LiveWorld, *, profile: Acquisition = "ideal", fov_angstrom: float = 50.0, current_pa: float = 20.0) -> None:
@@ -74,10 +74,10 @@ class Microscope:
         self._busy = threading.Lock()
 
     def answer(self, verb: str, arguments: Arguments) -> Answer:
-        """What a verb comes to.
+        """Executes a verb. Returns its answer.
 
         Raises:
-            ValueError: for an unknown verb, and for arguments that make no sense, missing ones too; the message is for the client.
+            ValueError: for an unknown verb, and for invalid or missing arguments. The message is sent to the client.
         """
         does = self._verbs().get(verb)
         if does is None:
@@ -87,7 +87,7 @@ class Microscope:
         if unknown:
             raise ValueError(f"{verb} takes no {unknown[0]!r}; it takes {', '.join(sorted(takes))}")
         if verb == "get_status":
-            # It never waits.
+            # The status is available while another call runs.
             return does(arguments)
         with self._busy:
             return does(arguments)
@@ -97,21 +97,21 @@ class Microscope:
         return {name: getattr(self, name) for name in dir(self) if not name.startswith("_") and name not in own}
 
     def connect(self, arguments: Arguments) -> Answer:
-        """Tells that the microscope is there. Addresses that clients send are not needed."""
+        """Confirms the connection to the microscope. Addresses from clients are ignored."""
         return f"Connected to a simulated microscope: {self._world.recipe['id']}"
 
     connect_AS = connect
 
     def set_routing_table(self, arguments: Arguments) -> Answer:
-        """Accepted, as there is one server for all."""
+        """Accepts and ignores a routing table, since one server executes all verbs."""
         return "Routing table is not needed: one server answers all"
 
     def discover_commands(self, arguments: Arguments) -> Answer:
-        """All verbs, as JSON."""
+        """Returns the names of all verbs, as JSON."""
         return json.dumps(sorted(self._verbs()))
 
     def get_help(self, arguments: Arguments) -> Answer:
-        """What ``command_name`` does, as JSON."""
+        """Returns the description of ``command_name``, as JSON."""
         name = arguments.get("command_name", "")
         if name not in self._verbs():
             return json.dumps({"error": f"unknown verb {name!r}"})
@@ -119,15 +119,16 @@ class Microscope:
         return json.dumps({"name": name, "summary": doc.split("\n")[0], "doc": doc})
 
     def get_status(self, arguments: Arguments) -> Answer:
-        """Whether an image is being recorded."""
+        """Returns whether the microscope is busy or ready."""
         return "Microscope is Busy" if self._busy.locked() else "Microscope is Ready"
 
     def get_stage(self, arguments: Arguments) -> Answer:
-        """x, y, z in m and the two tilts in rad, float32; 0, 0 is the middle of the specimen."""
+        """Returns x, y, z in m and the two tilts in rad, float32. (0, 0) is the centre of the specimen."""
         return self._stage_m.astype(np.float32)
 
     def set_stage(self, arguments: Arguments) -> Answer:
-        """Moves the stage to ``x`` and ``y`` in m, or by them with ``relative=True``. The field of view has to stay on the specimen."""
+        """Moves the stage to ``x`` and ``y`` in m, or by these distances with ``relative=True``. The field of view has to stay on the
+        specimen."""
         x, y = (_number(arguments, key, default=math.nan) for key in ("x", "y"))
         relative = _flag(arguments, "relative")
         moved = self._stage_m.copy()
@@ -148,7 +149,7 @@ class Microscope:
         return f"FOV set to {fov} A"
 
     def get_fov(self, arguments: Arguments) -> Answer:
-        """The edge of the field of view in Angstrom."""
+        """Returns the edge of the field of view in Angstrom."""
         return np.array([self._fov_angstrom], dtype=np.float32)
 
     def set_current(self, arguments: Arguments) -> Answer:
@@ -160,7 +161,7 @@ class Microscope:
     set_beam_current = set_current
 
     def get_current(self, arguments: Arguments) -> Answer:
-        """The current of the beam in pA."""
+        """Returns the current of the beam in pA."""
         return np.array([self._current_pa], dtype=np.float32)
 
     get_beam_current = get_current
@@ -168,7 +169,7 @@ class Microscope:
     def get_scanned_image(self, arguments: Arguments) -> Answer:
         """Records the field of view: ``size`` x ``size`` pixels, ``dwell_time`` in s, ``scanning_detector`` (or ``detector``) HAADF.
 
-        The dose is current x dwell time / pixel area; it changes the specimen. The answer is float32, in counts of the detector.
+        The dose is current x dwell time / pixel area, and changes the specimen. The answer is float32, in counts of the detector.
         """
         detector = arguments.get("scanning_detector", arguments.get("detector", "HAADF"))
         if detector.upper() != "HAADF":
@@ -190,12 +191,12 @@ class Microscope:
         return self._recorded(self._view_nm(), size, dwell_s)
 
     def get_dose(self, arguments: Arguments) -> Answer:
-        """The mean dose that the field of view has had, in electrons per square Angstrom."""
+        """Returns the mean dose of the field of view so far, in electrons per square Angstrom."""
         dose = self._world.dose(self._view_nm())
         return np.array([dose], dtype=np.float32)
 
     def place_beam(self, arguments: Arguments) -> Answer:
-        """Moves the resting beam to ``x``, ``y`` (or ``beam_pos=(x,y)``) in fractions of the field of view. It stays blanked."""
+        """Moves the resting beam to ``x``, ``y`` (or ``beam_pos=(x,y)``) in fractions of the field of view. The beam stays blanked."""
         if "beam_pos" in arguments:
             x, y = _pair(arguments["beam_pos"])
         else:
@@ -206,7 +207,7 @@ class Microscope:
         return f"Beam moved to {x}, {y}"
 
     def unblank_beam(self, arguments: Arguments) -> Answer:
-        """Lets the resting beam hit the specimen for ``duration`` (or ``dwell_time``) seconds, then blanks it again."""
+        """Exposes the specimen to the resting beam for ``duration`` (or ``dwell_time``) seconds, and blanks the beam again."""
         given = arguments.get("duration", arguments.get("dwell_time"))
         if given is None:
             raise ValueError("duration: say for how many seconds; a simulated beam does not wait for the next command")
@@ -221,7 +222,7 @@ class Microscope:
         return f"Beam unblanked for {duration} s"
 
     def blank_beam(self, arguments: Arguments) -> Answer:
-        """Blanks the beam; between commands it always is."""
+        """Blanks the beam. Between commands it is always blanked."""
         return "Beam blanked"
 
     def _recorded(
@@ -242,10 +243,10 @@ class Microscope:
 
 
 def checked_fov(fov_angstrom: float) -> float:
-    """A field of view that is large enough.
+    """Checks a field of view. Returns it.
 
     Raises:
-        ValueError: for others.
+        ValueError: for a value out of its limits, or no number.
     """
     if not fov_angstrom >= LEAST_FOV_ANGSTROM:
         raise ValueError(f"fov={fov_angstrom}: expected {LEAST_FOV_ANGSTROM:g} Angstrom or more, within the specimen")
@@ -253,10 +254,10 @@ def checked_fov(fov_angstrom: float) -> float:
 
 
 def checked_current(current_pa: float) -> float:
-    """A current within limits.
+    """Checks a current. Returns it.
 
     Raises:
-        ValueError: for others.
+        ValueError: for a value out of its limits, or no number.
     """
     low, high = CURRENT_PA
     if not low <= current_pa <= high:
@@ -265,7 +266,7 @@ def checked_current(current_pa: float) -> float:
 
 
 def specimen_size_nm(recipe: Recipe) -> tuple[float, float]:
-    """Width and height of the field of a recipe."""
+    """Returns width and height of a recipe's field, in nm."""
     rows, columns = recipe.grid
     tile, overlap = recipe["field.tile_px"], recipe["field.overlap_px"]
     width, height = ((n * (tile - overlap) + overlap) * recipe.pixel_nm for n in (columns, rows))
@@ -273,10 +274,10 @@ def specimen_size_nm(recipe: Recipe) -> tuple[float, float]:
 
 
 def view_nm(size_nm: tuple[float, float], stage_m: npt.NDArray[np.float64], fov_angstrom: float) -> tuple[float, float, float, float]:
-    """A field of view in nm of a specimen of that size: left, upper, right and lower edge.
+    """Returns the field of view on a specimen, in nm: left, upper, right and lower edge.
 
     Raises:
-        ValueError: where it leaves the specimen.
+        ValueError: if the field of view leaves the specimen.
     """
     half = 0.05 * fov_angstrom
     x, y = 0.5 * size_nm[0] + 1e9 * stage_m[0], 0.5 * size_nm[1] + 1e9 * stage_m[1]
@@ -313,7 +314,7 @@ def _flag(arguments: Arguments, key: str) -> bool:
     return text.lower() in ("true", "1")
 
 
-#: Two numbers in brackets, as Python and JSON write them.
+#: Two numbers in brackets, in the notation of Python or JSON.
 _PAIR = re.compile(r"[(\[]([^,()\[\]]+),([^,()\[\]]+),?[)\]]")
 
 

@@ -1,4 +1,4 @@
-"""The socket: one microscope, any number of clients."""
+"""Serves one microscope to several clients over a socket."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from ..errors import StemworldsError
 from .messages import LONGEST_ANSWER, LONGEST_REQUEST, Answer, packed, parsed, receive, send, unpacked
 from .microscope import Microscope
 
-#: Where it listens unless told otherwise: this computer only, and the port of asyncroscopy's central server.
+#: The default address: this computer only, and the port of asyncroscopy's central server.
 ADDRESS = ("127.0.0.1", 9000)
 
 
-#: Clients at a time.
+#: Greatest number of simultaneous clients.
 MOST_CLIENTS = 64
-#: Seconds that a client may say nothing, or take to read an answer.
+#: Greatest number of seconds without a request from a client, or for reading an answer.
 IDLE_S = 3600.0
-#: Seconds that a request may take to come, from its first byte.
+#: Greatest number of seconds from the first to the last byte of a request.
 MESSAGE_S = 60.0
-#: Bytes that are still read of a client after an error: else its end of the connection might drop the error unread.
+#: Greatest number of bytes that are read from a client after an error. With unread bytes, the system could drop the message about the
+#: error.
 _REST = 1 << 16
 
 
@@ -53,10 +54,10 @@ class _Handler(socketserver.BaseRequestHandler):
             verb, arguments = parsed(text)
             return microscope.answer(verb, arguments)
         except (ValueError, StemworldsError) as error:
-            # StemworldsError of values are ValueErrors too; the others are of files and memory.
+            # Errors of values are ValueErrors; other StemworldsErrors are about files and memory.
             return f"ERROR: {error}"
         except Exception as error:
-            # Whatever it is, the client hears of it and the server goes on.
+            # Any other error is sent to the client, and the server continues.
             return f"ERROR: a fault of the server, please report it: {type(error).__name__}: {error}"
 
     def _send(self, answer: Answer) -> bool:
@@ -70,7 +71,7 @@ class _Handler(socketserver.BaseRequestHandler):
 
 
 def _drain(connection: socket.socket) -> None:
-    """Says that no more is said, and reads what the client has sent by now."""
+    """Closes the connection for writing, and reads the remaining bytes from the client."""
     with contextlib.suppress(OSError):
         connection.shutdown(socket.SHUT_WR)
         connection.setblocking(False)
@@ -83,14 +84,15 @@ class Server(socketserver.ThreadingTCPServer):
     """Serves a microscope until :meth:`close`.
 
     Args:
-        microscope: it, or a function that makes it. The function is called when the port is taken, and clients can connect when it has returned.
-        address: host and port; port 0 takes one that is free, see :attr:`port`.
-        most_clients: connections at a time; more are told so, and closed.
-        idle_s: seconds after which a client that says nothing is disconnected.
-        message_s: seconds that a request may take to come, from its first byte to the last.
+        microscope: the microscope, or a function that makes it. The function is called after the port is reserved. Clients can connect
+            after it has returned.
+        address: host and port. Port 0 chooses a free port, see :attr:`port`.
+        most_clients: greatest number of simultaneous connections. Further clients get an error, and are disconnected.
+        idle_s: seconds without a request after which a client is disconnected.
+        message_s: greatest number of seconds from the first to the last byte of a request.
 
     Raises:
-        OSError: where the port is taken.
+        OSError: if the port is in use.
     """
 
     allow_reuse_address = True
@@ -122,23 +124,23 @@ class Server(socketserver.ThreadingTCPServer):
 
     @property
     def port(self) -> int:
-        """The port that it listens on."""
+        """The port of the server."""
         port: int = self.server_address[1]
         return port
 
     def start(self) -> Server:
-        """Serves in a thread of its own; returns at once."""
+        """Serves in a separate thread. Returns at once."""
         self._begun = True
         threading.Thread(target=self.serve_forever, name="stemworlds serve", daemon=True).start()
         return self
 
     def serve_forever(self, poll_interval: float = 0.1) -> None:
-        """Serves until another thread calls :meth:`close`, or an exception comes."""
+        """Serves until another thread calls :meth:`close`, or an exception is raised."""
         self._begun = True
         super().serve_forever(poll_interval)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Gives a client a thread, unless there are too many."""
+        """Starts a thread for a client, unless there are too many clients."""
         with self._guard:
             there = len(self._clients)
             if there < self.most_clients:
@@ -147,22 +149,22 @@ class Server(socketserver.ThreadingTCPServer):
             super().process_request(request, client_address)
             return
         with contextlib.suppress(OSError):
-            # A connection that has just begun takes so few bytes at once.
+            # The message fits into the buffer of a new connection, so it need not wait.
             request.setblocking(False)
             send(request, packed(f"ERROR: {there} clients are connected, and no more are served; close one of them"))
         _drain(request)
         self.shutdown_request(request)
 
     def shutdown_request(self, request: Any) -> None:
-        """Ends a connection."""
+        """Closes a connection."""
         with self._guard:
             self._clients.discard(request)
         super().shutdown_request(request)
 
     def close(self) -> None:
-        """Ends it, and the connections of all clients. What is being recorded is recorded to its end."""
+        """Stops the server, and closes all connections. A recording in progress is completed."""
         if self._begun:
-            # Of a server that never served it would wait for ever.
+            # shutdown() would wait for ever if the server never served.
             self.shutdown()
         self.server_close()
         with self._guard:
@@ -179,7 +181,7 @@ class Server(socketserver.ThreadingTCPServer):
 
 
 class Client:
-    """A client of such a server, for scripts and tests.
+    """A client of :class:`Server`, for scripts and tests.
 
     >>> microscope = Client()                                                     # doctest: +SKIP
     >>> image = microscope.array("get_scanned_image", size=256, dwell_time=2e-6)  # doctest: +SKIP
@@ -189,11 +191,11 @@ class Client:
         self._socket = socket.create_connection(address, timeout=timeout_s)
 
     def __call__(self, verb: str, **arguments: object) -> Answer:
-        """Sends a verb; returns its array or text.
+        """Sends a verb. Returns the array or text of its answer.
 
         Raises:
-            RuntimeError: with the server's words, where it refuses.
-            ConnectionError: where it has gone.
+            RuntimeError: if the server reports an error. It has the server's message.
+            ConnectionError: if the server has closed the connection.
         """
         words = [verb, *(f"{key}={value}" for key, value in arguments.items())]
         send(self._socket, " ".join(words).encode())
@@ -206,10 +208,10 @@ class Client:
         return answer
 
     def array(self, verb: str, **arguments: object) -> npt.NDArray[Any]:
-        """Sends a verb whose answer is an array.
+        """Sends a verb with an array as its answer. Returns the array.
 
         Raises:
-            RuntimeError, ConnectionError: as a call; the first for answers that are text, too.
+            RuntimeError, ConnectionError: see :meth:`__call__`. A text as answer is a RuntimeError too.
         """
         answer = self(verb, **arguments)
         if isinstance(answer, str):

@@ -1,7 +1,7 @@
-"""Trains networks that see columns and what they hold, on the endless stream of tiles.
+"""Trains networks that find columns and their defects, on an endless stream of tiles.
 
-``stemworlds train`` is its command, docs/training.md its page. It needs ``pip install 'stemworlds[train]'``; PyTorch is imported when
-something is trained, and not before.
+The command is ``stemworlds train``; docs/training.md explains it. It needs ``pip install 'stemworlds[train]'``. PyTorch is imported when a
+training begins.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ def train(
     progress: Callable[[str], object] | None = None,
     until: float | None = None,
 ) -> TrainingSummary:
-    """Trains what a config (or its file) says in the folder ``out``; the same call goes on where it was.
+    """Trains the networks of a config in the folder ``out``. An identical call continues an interrupted training.
 
     Args:
         config: a :class:`Config`, the path of a TOML file, or the name of a config of the package.
-        out: the folder of checkpoint, log and networks; it is made.
-        progress: is told how far it is; by default lines on standard error.
-        until: stop after so many seconds, with a checkpoint.
+        out: the folder of checkpoint, log and networks. It is created if it does not exist.
+        progress: function that receives lines of progress; by default they are printed on standard error.
+        until: seconds after which the training stops, with a checkpoint.
 
     Raises:
-        StemworldsError: without PyTorch, onnx and onnxscript; it says how to install them.
-        InvalidValue: for the config, and where the folder holds a checkpoint of another one.
+        StemworldsError: if PyTorch, onnx or onnxscript is missing. The message names the command that installs them.
+        InvalidValue: for an invalid config, and if the folder contains a checkpoint of another config.
     """
     whole, training = _ready(config)
     summary: TrainingSummary = training.train(whole, out, progress=progress, until=until)
@@ -43,12 +43,12 @@ def train(
 
 
 def export(config: Config | str | os.PathLike[str], out: str | os.PathLike[str]) -> list[str]:
-    """Writes ``member-0.onnx`` ... of the last checkpoint in the folder ``out``, for who does not wait for the end.
+    """Writes the networks of the last checkpoint, ``member-0.onnx`` ..., in the folder ``out``, before the end of the training.
 
     Raises:
-        StemworldsError: without PyTorch, onnx and onnxscript.
-        InvalidValue: where the checkpoint is of another config.
-        FileMissing: without a checkpoint.
+        StemworldsError: if PyTorch, onnx or onnxscript is missing.
+        InvalidValue: if the checkpoint belongs to another config.
+        FileMissing: if there is no checkpoint.
     """
     whole, training = _ready(config)
     networks: list[str] = training.export(whole, out)
@@ -56,7 +56,7 @@ def export(config: Config | str | os.PathLike[str], out: str | os.PathLike[str])
 
 
 def _ready(config: Config | str | os.PathLike[str]) -> tuple[Config, Any]:
-    """The config, checked, and the module that needs PyTorch."""
+    """Returns the checked config, and the module that needs PyTorch."""
     whole = config if isinstance(config, Config) else read_config(config)
     from . import needed
 

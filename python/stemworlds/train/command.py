@@ -1,4 +1,4 @@
-"""``stemworlds train``: trains networks, and goes on where it was."""
+"""Implements ``stemworlds train``, which trains networks and continues interrupted trainings."""
 
 from __future__ import annotations
 

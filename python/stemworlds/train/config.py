@@ -1,4 +1,4 @@
-"""What is trained, on what, and how: read from TOML. All defaults are here."""
+"""Reads configs of trainings from TOML. This module contains all defaults."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..recipes import Recipe
 
 __all__ = ["Config", "packaged_configs", "read_config"]
 
-#: Profiles of recordings, see docs/acquisition.md.
+#: Names of the profiles of recordings, see docs/acquisition.md.
 PROFILES = ("ideal", "routine", "poor")
 _RECIPE_KEYS = {"recipe", "difficulty", "weight", "set", "grid"}
 _Table = TypeVar("_Table")
@@ -29,14 +29,15 @@ class StreamTable:
     """``[stream]``: the tiles.
 
     Attributes:
-        recipes: names ``"srtio3:easy"``, or tables ``{recipe, difficulty, weight, set, grid}``; files lie relative to the config.
+        recipes: names ``"srtio3:easy"``, or tables ``{recipe, difficulty, weight, set, grid}``. Paths are relative to the config.
         size: edge of a tile in pixels, a multiple of 16.
-        pixel_nm: range of the edge of a pixel, drawn evenly in its logarithm.
-        dose: range in electrons per square Angstrom, drawn evenly in its logarithm.
-        profiles: how many tiles are recorded with which errors of a microscope, as weights.
-        seed: of all tiles. Specimens have even seeds, as those of the benchmark's split for training.
-        samples_per_specimen: tiles of one specimen of a recipe, after which another is laid out; 0 for one specimen.
-        repeats: steps that use the same noise-free tiles, each with doses, noise, profiles, turns and mirrors of its own.
+        pixel_nm: range of the edge of a pixel, with a uniform distribution of the logarithm.
+        dose: range of the dose in electrons per square Angstrom, with a uniform distribution of the logarithm.
+        profiles: weights of the profiles with which tiles are recorded.
+        seed: seed of all tiles. Specimens have even seeds, as in the benchmark's training split.
+        samples_per_specimen: number of tiles of a specimen, after which a new specimen of the recipe is laid out; 0 for one specimen.
+        repeats: number of steps that use the same noise-free tiles. Doses, noise, profiles, rotations and reflections are drawn for each
+            step.
     """
 
     recipes: tuple[Any, ...] = tuple(f"{material}:{tier}" for material in ("srtio3", "batio3", "sige", "gan") for tier in ("easy", "medium", "hard"))
@@ -51,11 +52,12 @@ class StreamTable:
 
 @dataclass(frozen=True)
 class NetworkTable:
-    """``[network]``.
+    """``[network]``: the size of the network.
 
     Attributes:
-        channels: of the levels; the first has half the pixels of a tile along an edge, each next one half of that.
-        blocks: residual blocks of each level, on the way down; on the way up each but the last level has as many again.
+        channels: number of channels of each level. The first level has half of the tile's pixels along an edge, each further level half of
+            the level before.
+        blocks: number of residual blocks of each level on the way down. On the way up, each level except the last has as many again.
     """
 
     channels: tuple[int, ...] = (24, 48, 96, 128)
@@ -64,18 +66,18 @@ class NetworkTable:
 
 @dataclass(frozen=True)
 class OptimiserTable:
-    """``[optimiser]``: AdamW, one cycle.
+    """``[optimiser]``: AdamW with one cycle of the learning rate.
 
     Attributes:
-        steps: in all. The cycle ends with them, so they are part of what is trained.
-        batch: tiles a step.
-        rate: the greatest learning rate.
-        weight_decay: of AdamW.
-        warm_up: share of the steps in which the rate rises; then it falls as a cosine.
-        clip: greatest norm of a step's gradient.
-        average: of the averaged weights, the share that stays in a step.
-        members: networks of the ensemble; they see the same tiles, and begin with weights of their own.
-        seed: of weights, doses and noise.
+        steps: total number of steps. The cycle ends with the last step, so the number changes the result.
+        batch: number of tiles in a step.
+        rate: greatest learning rate.
+        weight_decay: weight decay of AdamW.
+        warm_up: share of the steps in which the learning rate rises. Then it falls as a cosine.
+        clip: greatest norm of the gradient of a step.
+        average: share of the averaged weights that is kept in a step.
+        members: number of networks in the ensemble. They are trained on identical tiles, from different initial weights.
+        seed: seed of weights, doses and noise.
     """
 
     steps: int = 30_000
@@ -91,14 +93,14 @@ class OptimiserTable:
 
 @dataclass(frozen=True)
 class RunTable:
-    """``[run]``: what changes no result, but for the last digits.
+    """``[run]``: settings that change results in the last digits at most.
 
     Attributes:
-        processes: that make tiles; 0 makes them in the process that trains, -1 one for each processor but one.
+        processes: number of processes that make tiles; 0 makes them in the training process, -1 starts one less than there are processors.
         device: ``"auto"`` (a GPU if there is one), ``"cpu"``, ``"cuda"``.
-        graph: on a GPU, record a step once and replay it.
-        checkpoint_every: steps after which all is saved; a kill loses what came after the last.
-        log_every: steps of one line of the log.
+        graph: on a GPU, record a step as a CUDA graph, and replay it.
+        checkpoint_every: number of steps from one checkpoint to the next. A kill loses the steps after the last checkpoint.
+        log_every: number of steps from one line of the log to the next.
     """
 
     processes: int = -1
@@ -110,11 +112,11 @@ class RunTable:
 
 @dataclass(frozen=True)
 class Config:
-    """A training, whole and checked.
+    """The complete, checked config of a training.
 
     Attributes:
         stream, network, optimiser, run: the tables of the file.
-        folder: where recipes lie that are files.
+        folder: folder to which paths of recipes are relative.
     """
 
     stream: StreamTable = field(default_factory=StreamTable)
@@ -127,28 +129,28 @@ class Config:
         _check(self)
 
     def recipes(self) -> list[tuple[Recipe, float]]:
-        """The recipes with their weights; their seeds are even."""
+        """Returns the recipes, with even seeds, and their weights."""
         return [_recipe(given, self.folder, self.stream.seed) for given in self.stream.recipes]
 
     def essence(self) -> dict[str, Any]:
-        """All that decides the result, for checkpoints and models: recipes in full, without ``[run]``."""
+        """Returns all values that determine the result, for checkpoints and models: the tables without ``[run]``, with complete recipes."""
         stream = {**dataclasses.asdict(self.stream), "recipes": [[recipe.toml, weight] for recipe, weight in self.recipes()]}
         return {"stream": stream, "network": dataclasses.asdict(self.network), "optimiser": dataclasses.asdict(self.optimiser)}
 
 
 def packaged_configs() -> dict[str, str]:
-    """Names of the configs that come with the package, and their texts."""
+    """Returns the names and the texts of the shipped configs."""
     folder = resources.files(__package__) / "configs"
     return {entry.name.removesuffix(".toml"): entry.read_text(encoding="utf-8") for entry in folder.iterdir() if entry.name.endswith(".toml")}
 
 
 def read_config(source: str | os.PathLike[str]) -> Config:
-    """Reads a config: a TOML file, or one that comes with the package by its name.
+    """Reads a config from a TOML file, or a shipped config by its name.
 
     Raises:
-        FileMissing: if there is neither.
-        FormatError: if it is no TOML.
-        InvalidValue: for unknown keys, values of another type, values out of their limits, and recipes.
+        FileMissing: if there is neither a file nor a config of this name.
+        FormatError: if the file is no TOML.
+        InvalidValue: for unknown keys, values of a wrong type, values out of their limits, and invalid recipes.
     """
     path, packaged = Path(source), packaged_configs()
     if path.is_file():
@@ -180,7 +182,7 @@ def _table(source: str, name: str, kind: type[_Table], given: Any) -> _Table:
 
 
 def _value(where: str, kind: Any, value: Any) -> Any:
-    """A value of TOML as the field takes it."""
+    """Converts a value of TOML to the type of its field."""
     if get_origin(kind) is tuple:
         items = get_args(kind)
         if isinstance(value, list) and (items[-1] is Ellipsis or len(value) == len(items)):
@@ -225,7 +227,7 @@ def _check(config: Config) -> None:
 
 
 def _recipe(given: Any, folder: str, seed: int) -> tuple[Recipe, float]:
-    """A recipe and its weight."""
+    """Reads a recipe and its weight."""
     table = given
     if isinstance(given, str):
         name, _, tier = given.partition(":")

@@ -1,4 +1,4 @@
-"""What columns may hold: kinds of columns of all recipes, and the prior chances of numbers of defects by recipe, place and kind."""
+"""Kinds of columns of all recipes, and prior probabilities of their defects by recipe, place and kind."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from ..recipes import Recipe
 Values = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
-#: Log of the chance of numbers of defects that a recipe does not have.
+#: Log probability of a number of defects that a recipe does not have.
 _NEVER = -60.0
 
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """Kinds and chances of all recipes together.
+    """Kinds and prior probabilities of all recipes together.
 
     Attributes:
-        kinds: names of kinds of columns, ``"O Ti"``.
-        log_chances: float32 ``[row, type of defect, number of defects]``; a row is one kind in one part of one recipe's field.
-        kind_of_row: index into ``kinds``.
-        most: the greatest number of defects ``[row, type]``, which stands for itself and all above.
-        possible: whether the recipe of a row has defects of a type ``[row, type]``.
-        usual: chances of each kind over all recipes ``[kind, type, number]``, for fields of which nothing is known.
+        kinds: names of kinds of columns, for example ``"O Ti"``.
+        log_chances: log probabilities, float32 ``[row, type of defect, number of defects]``. A row is one kind in one part of one recipe's
+            field.
+        kind_of_row: index into ``kinds`` for each row.
+        most: greatest number of defects ``[row, type]``, which means "that many or more".
+        possible: whether the recipe of a row has defects of a type, ``[row, type]``.
+        usual: probabilities for each kind, averaged over all recipes ``[kind, type, number]``, for fields without a recipe.
     """
 
     kinds: tuple[str, ...]
@@ -47,7 +48,7 @@ class Contents:
     _first_row: tuple[int, ...]
 
     def rows(self, source: int, places_nm: Values, numbers: Whole) -> Whole:
-        """The row of columns of recipe ``source`` at places, by the atomic number of their heaviest atom."""
+        """Returns the rows of columns of the recipe ``source``, by place and atomic number of the heaviest atom."""
         prior = self._priors[source]
         kind = self._by_number[source][numbers]
         result: Whole = self._first_row[source] + prior.part_of(places_nm) * len(prior.names) + kind
@@ -55,7 +56,7 @@ class Contents:
 
 
 def contents_of(recipes: Sequence[Recipe]) -> Contents:
-    """The contents of recipes, counted on specimens of the split for training: seconds each."""
+    """Counts the contents of recipes in specimens of the training split. It takes seconds for each recipe."""
     with ThreadPoolExecutor(processors()) as pool:
         priors = list(pool.map(prior_of, recipes))
     kinds = tuple(sorted({name for prior in priors for name in prior.names}))
@@ -66,7 +67,7 @@ def contents_of(recipes: Sequence[Recipe]) -> Contents:
         first.append(len(kind_of_row))
         tables = [prior.chances[target] for target in DEFECT_TYPES]
         parts = tables[0].shape[0]
-        # The last kind of a prior is all kinds together.
+        # The last kind of a prior is the sum of all kinds, which is left out.
         chances = np.zeros((parts, len(prior.names), len(DEFECT_TYPES), classes))
         for n, table in enumerate(tables):
             chances[:, :, n, : table.shape[2]] = table[:, :-1]
@@ -91,5 +92,5 @@ def contents_of(recipes: Sequence[Recipe]) -> Contents:
 
 
 def processors() -> int:
-    """How many processors this process may use."""
+    """Returns the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

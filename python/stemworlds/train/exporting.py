@@ -1,4 +1,4 @@
-"""Trained networks as ONNX files, with all that who uses them has to know."""
+"""Writes trained networks as ONNX files, with a card that describes them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .saving import write_whole
 
 
 class _AsUsed(nn.Module):
-    """Chances in place of scores."""
+    """A network with probabilities instead of scores as outputs."""
 
     def __init__(self, network: Network) -> None:
         super().__init__()
@@ -35,7 +35,7 @@ class _AsUsed(nn.Module):
 
 
 def write_network(path: Path, network: Network, contents: Contents, size: int, about: Mapping[str, Any]) -> None:
-    """Writes a network as ONNX: tiles of any number, whose edges are ``size`` pixels."""
+    """Writes a network as ONNX, for any number of tiles with ``size`` pixels along an edge."""
     example = (torch.ones(2, 1, size, size), torch.ones(2, CONDITIONS))
     used = _AsUsed(network).cpu().eval()
     tiles = torch.export.Dim("tiles")
@@ -57,7 +57,7 @@ def write_network(path: Path, network: Network, contents: Contents, size: int, a
     entry = model.metadata_props.add()
     entry.key, entry.value = KEY, json.dumps(card.table())
     for node in model.graph.node:
-        # Where the program was lies in each node: paths of whoever exported it.
+        # Each node contains paths of the exporting machine, which are removed.
         del node.metadata_props[:]
         node.doc_string = ""
     onnx().checker.check_model(model)
@@ -66,7 +66,7 @@ def write_network(path: Path, network: Network, contents: Contents, size: int, a
 
 @contextlib.contextmanager
 def _quiet() -> Any:
-    """Without what the exporter says of its own making."""
+    """Suppresses the messages of the exporter."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:

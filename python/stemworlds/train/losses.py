@@ -1,4 +1,4 @@
-"""How wrong a network is about a batch of tiles."""
+"""Computes the losses of a network for a batch of tiles."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from torch.nn import functional
 
 from .network import Seen
 
-#: Weights of the parts. Numbers of defects are what is asked for, and say least in a step.
+#: Weights of the parts. Numbers of defects have the largest weight: they are the aim, and have the weakest gradient in a step.
 WEIGHTS = {"heat": 1.0, "offset": 1.0, "kind": 0.3, "defects": 4.0, "phase": 0.3, "particle": 0.3}
 
 
 def losses(seen: Seen, batch: Mapping[str, Tensor], contents: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The parts, each a mean; ``defects`` is in nats a column and type, above what the prior alone lacks where it is above 0."""
+    """Returns the parts of the loss, each a mean.
+
+    ``defects`` is the loss relative to the prior, in nats per column and type. It is negative if the forecasts are better than the prior.
+    """
     places, there, row = batch["places"], batch["there"], batch["row"].long()
     weight = there.float()
     total = weight.sum().clamp(min=1.0)
@@ -40,18 +43,18 @@ def losses(seen: Seen, batch: Mapping[str, Tensor], contents: Mapping[str, Tenso
 
 
 def log_chances(toward: Tensor, log_sharpness: Tensor, log_prior: Tensor) -> Tensor:
-    """Log posterior of 0, 1, ... defects: the prior, times the likelihood. Last axis: the number of defects."""
+    """Returns the log posterior of 0, 1, ... defects (last axis): prior times likelihood, normalised."""
     number = torch.arange(log_prior.shape[-1], dtype=toward.dtype, device=toward.device)
     log = log_prior + number * toward[..., None] - 0.5 * torch.exp(log_sharpness)[..., None] * number**2
     return torch.log_softmax(log, dim=-1)
 
 
 def _defects(seen: Seen, batch: Mapping[str, Tensor], contents: Mapping[str, Tensor]) -> Tensor:
-    """Nats that forecasts of columns lack, less those that the prior lacks."""
+    """Returns the mean loss of the forecasts minus the loss of the prior, in nats."""
     row, true = batch["row"].long(), batch["defects"].long()[..., None]
     maps = torch.cat([seen.toward, seen.log_sharpness], dim=1)
     height, width = maps.shape[2:]
-    # Numbers from Python cannot become tensors while a step is recorded on a GPU.
+    # No tensor may be made from Python numbers while a step is recorded on a GPU.
     places = batch["places"] + 0.5
     grid = torch.stack([places[..., 0] / width - 1, places[..., 1] / height - 1], dim=-1)[:, :, None]
     at = functional.grid_sample(maps, grid, mode="bilinear", padding_mode="border", align_corners=False)[..., 0].transpose(1, 2)
@@ -64,6 +67,6 @@ def _defects(seen: Seen, batch: Mapping[str, Tensor], contents: Mapping[str, Ten
 
 
 def _taken(maps: Tensor, at: Tensor) -> Tensor:
-    """Values of maps at cells ``[tile, column]``: ``[tile, column, channel]``."""
+    """Returns the values of maps at cells ``[tile, column]``, ``[tile, column, channel]``."""
     flat = maps.flatten(2)
     return flat.gather(2, at[:, None].expand(-1, flat.shape[1], -1)).transpose(1, 2)

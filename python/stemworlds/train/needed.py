@@ -1,4 +1,4 @@
-"""PyTorch and ONNX, which this room needs and the package does not."""
+"""Imports PyTorch and ONNX, which only the training needs."""
 
 from __future__ import annotations
 
@@ -15,13 +15,17 @@ the command where "CPU" is chosen."""
 
 
 def check() -> None:
-    """Says how to get what is missing, before anything is computed."""
+    """Checks that PyTorch and ONNX are installed, before the training begins.
+
+    Raises:
+        StemworldsError: if a package is missing. The message names the command that installs it.
+    """
     for module in ("torch", "onnx", "onnxscript"):
         _module(module)
 
 
 def onnx() -> Any:
-    """The module onnx."""
+    """Imports the module onnx."""
     return _module("onnx")
 
 

@@ -1,4 +1,4 @@
-"""The network: counts of electrons in; columns, and what they hold, out."""
+"""The network, which finds columns and their defects in counts of electrons."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from torch.nn import functional
 
 from .config import NetworkTable
 
-#: What a tile was recorded with, in this order: dose (e/A^2), electrons a pixel, edge of a pixel (nm), inner and outer angle (mrad), thickness (nm).
+#: Number of conditions: dose (e/A^2), electrons per pixel, edge of a pixel (nm), inner and outer angle (mrad), thickness (nm).
 CONDITIONS = 6
-#: Middle and half width of the conditions' logarithms (base 10).
+#: Centre and half width of the conditions' logarithms (base 10).
 _MIDDLE = (4.2, 2.5, -1.65, 1.8, 2.3, 0.8)
 _WIDTH = (1.5, 1.5, 0.25, 0.3, 0.3, 0.5)
 _EMBEDDED = 64
-#: Widest logarithms of scales, so that no step runs away.
+#: Limits of the logarithms of scales, so that no step diverges.
 _LEAST_LOG, _MOST_LOG = -12.0, 8.0
-#: Electrons a pixel at which ``toward`` begins with the scale 1: what noise leaves of a signal grows as their root. So many that a step of
-#: the greatest rate does not throw it about.
+#: Electrons per pixel at which ``toward`` has the initial scale 1. The signal-to-noise ratio grows with their square root. The number is so
+#: large that steps with the greatest learning rate stay stable.
 _USUAL_ELECTRONS = 40_000.0
 
 
 class Seen(NamedTuple):
-    """Maps of half the tile's pixels along an edge, ``[tile, channel, y, x]``.
+    """Maps with half of the tile's pixels along an edge, ``[tile, channel, y, x]``.
 
     Attributes:
-        heat: logit of a column's middle in the cell.
-        offset: how far the middle is from the cell's, x and y in cells.
+        heat: logit of the centre of a column in the cell.
+        offset: offset of the column from the centre of the cell, x and y in cells.
         kind: scores of kinds of columns.
-        toward, log_sharpness: what the counts say of k defects of each type: the log likelihood is ``k toward - k^2 exp(log_sharpness) / 2``.
+        toward, log_sharpness: evidence by type of defect. The log likelihood of k defects is ``k toward - k^2 exp(log_sharpness) / 2``.
         phase: scores of phases.
         particle: logit of a particle.
     """
@@ -45,7 +45,7 @@ class Seen(NamedTuple):
 
 
 class _Block(nn.Module):
-    """Two convolutions about a shortcut; the conditions scale and shift what is between them. It begins as the identity."""
+    """A residual block of two convolutions. The conditions scale and shift the values between them. Initially it is the identity."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -64,11 +64,11 @@ class _Block(nn.Module):
 
 
 class Network(nn.Module):
-    """Residual blocks on levels that each halve the image, and back up to half the tile's pixels.
+    """A U-shaped network of residual blocks. Each level halves the image; the output has half of the tile's pixels along an edge.
 
     Args:
         table: channels and blocks of the levels.
-        kinds, phases, types: how many kinds of columns, phases and types of defects it tells apart.
+        kinds, phases, types: numbers of kinds of columns, phases and types of defects that it distinguishes.
     """
 
     def __init__(self, table: NetworkTable, kinds: int, phases: int, types: int) -> None:
@@ -85,7 +85,7 @@ class Network(nn.Module):
         self.after: Any = nn.ModuleList(nn.ModuleList(_Block(size) for _ in range(count)) for size, count in zip(channels[:-1], blocks, strict=False))
         self.mix = nn.Conv2d(channels[0], 2 * channels[0], 1)
         self.heads = nn.Conv2d(2 * channels[0], sum(self.sizes), 1)
-        #: How much the conditions alone say of the scales of both.
+        #: Scales of ``toward`` and ``log_sharpness`` from the conditions alone.
         self.gain = nn.Linear(_EMBEDDED, 2 * types)
         nn.init.normal_(self.heads.weight, std=0.01)
         with torch.no_grad():
@@ -97,10 +97,10 @@ class Network(nn.Module):
             self.gain.bias.zero_()
 
     def forward(self, counts: Tensor, conditions: Tensor) -> Seen:
-        """Counts ``[tile, 1, y, x]``, conditions ``[tile, 6]``."""
+        """Computes the maps from counts ``[tile, 1, y, x]`` and conditions ``[tile, 6]``."""
         known = (torch.log10(conditions) - self.middle) / self.width
         embedded = self.embed(known)
-        # Anscombe's transform: noise of variance 1 whatever the mean.
+        # Anscombe's transform makes the variance of the noise 1 for any mean.
         even = 2 * torch.sqrt(counts + 0.375)
         electrons = conditions[:, 1, None, None, None]
         image = self.stem(torch.cat([2 * even / torch.sqrt(electrons) - 1, even / 16], dim=1))

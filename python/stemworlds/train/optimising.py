@@ -1,4 +1,4 @@
-"""One step of all members of an ensemble: losses, gradients, AdamW, averaged weights."""
+"""Executes the steps of an ensemble: losses, gradients, AdamW, averaged weights."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from .config import OptimiserTable
 from .losses import WEIGHTS, losses
 from .network import Network
 
-#: Steps before a step is recorded on a GPU: allocations and choices of algorithms are over by then.
+#: Number of steps before a step is recorded on a GPU. Memory is then allocated, and algorithms are chosen.
 _WARM_STEPS = 4
 
 
 def rate_at(table: OptimiserTable, step: int) -> float:
-    """The learning rate of a step: it rises evenly, then falls as half a cosine to 0."""
+    """Returns the learning rate of a step. It rises linearly, then falls as half a cosine to 0."""
     rising = max(round(table.warm_up * table.steps), 1)
     if step < rising:
         return table.rate * (step + 1) / rising
@@ -27,20 +27,23 @@ def rate_at(table: OptimiserTable, step: int) -> float:
 
 
 def kept_at(table: OptimiserTable, step: int) -> float:
-    """Share of the averaged weights that stays in a step: few steps are not averaged with the random weights of the beginning."""
+    """Returns the share of the averaged weights that is kept in a step.
+
+    It is smaller in the first steps, so that the random initial weights disappear from the average.
+    """
     return min(table.average, (1 + step) / (10 + step))
 
 
 class Ensemble:
-    """Networks that are trained side by side on the same batches.
+    """Networks that are trained together on the same batches.
 
     Args:
-        make: makes a network with random weights.
-        table: of the optimiser.
+        make: function that makes a network with random weights.
+        table: settings of the optimiser.
         contents: tensors by name, see :func:`losses`.
-        device: where all of it is.
+        device: device of all tensors.
         graph: record a step on the GPU once, and replay it.
-        say: is told when a step could not be recorded.
+        say: function that receives a message if a step could not be recorded.
     """
 
     def __init__(
@@ -60,7 +63,7 @@ class Ensemble:
                 self.networks.append(make().to(device))
         self.averaged: list[Network] = [copy.deepcopy(network).requires_grad_(False) for network in self.networks]
         on_gpu = device.type == "cuda"
-        # Numbers that a recorded step reads anew each time.
+        # These numbers are tensors, so that a recorded step reads their present values.
         self._rate = torch.tensor(0.0, device=device)
         self._moving = torch.tensor(0.0, device=device)
         self.optimisers = [
@@ -81,7 +84,7 @@ class Ensemble:
         self._out: Tensor | None = None
 
     def step(self, batch: Mapping[str, Tensor], step: int) -> Tensor:
-        """One step; returns the losses ``[member, part]`` in the order of :data:`WEIGHTS`, without waiting for them."""
+        """Executes one step. Returns the losses ``[member, part]`` in the order of :data:`WEIGHTS`, without waiting for the GPU."""
         rate = rate_at(self._table, step)
         self._rate.fill_(rate)
         self._moving.fill_(1 - kept_at(self._table, step))
@@ -122,7 +125,7 @@ class Ensemble:
         return torch.stack(said)
 
     def _warm(self, batch: Mapping[str, Tensor]) -> Tensor:
-        """A step as it will be recorded: on another stream, as recording asks for."""
+        """Executes a step on another stream, which CUDA requires before recording."""
         aside, here = torch.cuda.Stream(), torch.cuda.current_stream()
         aside.wait_stream(here)
         with torch.cuda.stream(aside):
@@ -131,7 +134,7 @@ class Ensemble:
         return out
 
     def _record(self, batch: Mapping[str, Tensor]) -> None:
-        """Records a step, which does not run meanwhile; if that fails, steps go on one by one."""
+        """Records a step without executing it. If recording fails, later steps are executed without it."""
         self._held = {name: value.clone() for name, value in batch.items()}
         torch.cuda.synchronize()
         graph = torch.cuda.CUDAGraph()
@@ -145,7 +148,7 @@ class Ensemble:
         self._graph = graph
 
     def state(self) -> dict[str, Any]:
-        """All that a later step depends on."""
+        """Returns the state on which later steps depend."""
         return {
             "networks": [network.state_dict() for network in self.networks],
             "averaged": [network.state_dict() for network in self.averaged],
@@ -153,7 +156,7 @@ class Ensemble:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Goes on from what :meth:`state` gave."""
+        """Restores a state from :meth:`state`."""
         for name, held in (("networks", self.networks), ("averaged", self.averaged)):
             for network, values in zip(held, state[name], strict=True):
                 network.load_state_dict(values)

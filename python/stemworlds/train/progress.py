@@ -1,4 +1,4 @@
-"""How far a training is, and when it will end."""
+"""Prints the progress of a training, and its estimated end."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping
 from ..bench.progress import in_words
 
 _SECONDS_BETWEEN_LINES = 10.0
-#: No end is foretold before so many lines: the first steps are slower.
+#: Number of lines before the first estimate of the end, since the first steps are slower.
 _LEAST_LINES = 2
 
 
 class Progress:
-    """A line now and then. The time that is left is that of the steps of this call since its first line, and not said before there are some."""
+    """Prints occasional lines. The remaining time is estimated from the steps of this call after its first line."""
 
     def __init__(self, steps: int, say: Callable[[str], object] | None) -> None:
         self._steps = steps
@@ -24,11 +24,11 @@ class Progress:
         self._last = -float("inf")
 
     def note(self, text: str) -> None:
-        """What goes on besides steps."""
+        """Prints a note about other work than steps."""
         self._say(text)
 
     def step(self, done: int, losses: Mapping[str, float]) -> None:
-        """So many steps are done."""
+        """Reports the number of finished steps."""
         now = time.monotonic()
         self._lines += 1
         if self._first is None:
@@ -40,7 +40,7 @@ class Progress:
         self._say(f"step {done} of {self._steps}{self._left(done, now)}; {said}")
 
     def close(self) -> None:
-        """Nothing comes after it."""
+        """Ends the output."""
 
     def _left(self, done: int, now: float) -> str:
         assert self._first is not None

@@ -1,4 +1,7 @@
-"""Noise-free tiles are recorded: turned, mirrored, moved by the errors of a scan, and counted. Each step's own random numbers decide."""
+"""Records noise-free tiles: rotates and mirrors them, applies the errors of a scan, and counts electrons.
+
+The random numbers depend on seed and step.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +15,17 @@ from torch.nn import functional
 
 from .config import PROFILES, StreamTable
 
-#: Time on a pixel and from the end of a line to the next, in microseconds.
+#: Time on a pixel, and time from the end of a line to the start of the next, in microseconds.
 _DWELL_US, _FLYBACK_US = 10.0, 60.0
 _ELECTRONS_PER_PA_US = 6.2415
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Errors of a microscope, as docs/acquisition.md has them. The random walk moves a tile by a fifth of a pixel at most, and is left out;
-    so are converters, whose ranges are those of a whole frame. Contamination is in no profile.
+    """Errors of a microscope, see docs/acquisition.md.
+
+    The random walk is left out, since it moves a tile by a fifth of a pixel at most. Converters are left out, since their range depends on
+    a whole frame. No profile contains contamination.
     """
 
     drift_x_nm_per_s: float = 0.0
@@ -41,7 +46,7 @@ class Profile:
     read_noise_electrons: float = 0.0
 
 
-#: Values by profile; a test compares them with the table of the docs.
+#: Values by profile. A test compares them with the table in the documentation.
 VALUES = {
     "ideal": Profile(),
     "routine": Profile(0.007, 0.004, 0.005, 0.01, 100.0, 0.005, 0.002, 50.0, 0.005, -0.005, 0.002, 0.8, 0.02, 20.0, 0.0, 20 / 50),
@@ -50,12 +55,12 @@ VALUES = {
 
 
 class Recorder:
-    """Makes recordings of noise-free tiles: the same for the same step, on the same kind of device.
+    """Records noise-free tiles. Seed and step determine a recording on one kind of device.
 
     Args:
-        table: ranges of doses, weights of profiles.
+        table: settings with the range of doses and the weights of profiles.
         facts: float32 ``[recipe, (inner mrad, outer mrad, thickness nm)]``.
-        seed: of all random numbers, together with the step.
+        seed: seed of all random numbers, together with the step.
     """
 
     def __init__(self, table: StreamTable, facts: Tensor, seed: int) -> None:
@@ -69,7 +74,7 @@ class Recorder:
         self._disturbed = bool((self._shares[1:] > 0).any())
 
     def __call__(self, tiles: Mapping[str, Tensor], step: int) -> dict[str, Tensor]:
-        """The batch with ``counts`` and ``conditions`` in place of ``clean``; its labels lie where the recording shows them."""
+        """Returns the batch with ``counts`` and ``conditions`` instead of ``clean``. Its labels have their places in the recording."""
         batch = dict(tiles)
         clean = batch.pop("clean")
         random = torch.Generator(clean.device).manual_seed((self._seed << 32) ^ step)
@@ -87,14 +92,14 @@ class Recorder:
         return batch
 
     def _disturb(self, clean: Tensor, batch: dict[str, Tensor], electrons: Tensor, random: torch.Generator) -> Tensor:
-        """Counts by the chain of docs/acquisition.md; what is ideal stays as it is."""
+        """Returns counts by the chain of docs/acquisition.md. Ideal values of a profile have no effect."""
         which = torch.multinomial(self._shares, len(clean), replacement=True, generator=random)
         own = {name: values[which][:, None] for name, values in self._values.items()}
         moved = self._moved(clean, batch, own, random)
         ideal = (which == 0)[:, None, None]
         mean = torch.where(ideal, clean, moved).clamp(min=0) * electrons[:, None, None]
         number = torch.poisson(mean, generator=random)
-        # Pulses: a sum of gamma distributed heights, here with the normal distribution's spread.
+        # The sum of gamma-distributed pulse heights is approximated by a normal distribution with equal variance.
         spread = torch.sqrt(number * (1 / own["dqe"] - 1)[:, None])
         light = (number + spread * torch.randn(number.shape, generator=random, device=number.device)).clamp(min=0)
         light = torch.bmm(light, self._late[which])
@@ -104,7 +109,7 @@ class Recorder:
         return torch.where(ideal, number, (light + noise).clamp(min=0))
 
     def _moved(self, clean: Tensor, batch: dict[str, Tensor], own: Mapping[str, Tensor], random: torch.Generator) -> Tensor:
-        """The noise-free image where the beam was; places of columns follow, but for the jitter of single lines."""
+        """Returns the noise-free image at the true places of the beam. Places of columns are moved too, without the jitter of lines."""
         count, height, width = clean.shape
         device, pixel = clean.device, batch["pixel_nm"][:, None]
         row, column = torch.arange(height, device=device).float(), torch.arange(width, device=device).float()
@@ -112,7 +117,7 @@ class Recorder:
         phase = 2 * math.pi * torch.rand(2, count, 1, generator=random, device=device)
 
         def steady(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-            """Displacement in pixels, along x and y, of pixels ``[tile, ...]``."""
+            """Returns the displacement in pixels, along x and y, of pixels ``[tile, ...]``."""
             across, down = x - (width - 1) / 2, y - (height - 1) / 2
             time = (y * line_us + (x + 0.5) * _DWELL_US) * 1e-6
             turn = 2 * math.pi * own["hum_hz"] * time
@@ -122,7 +127,7 @@ class Recorder:
             return own["scale_x"] * across + own["shear"] * down + x_nm / pixel, own["scale_y"] * down + y_nm / pixel
 
         def grid(x: Tensor, y: Tensor, more: Tensor | float = 0.0) -> Tensor:
-            """Where the beam was at pixels, as grid_sample takes it: ``[tile, row, column, (x, y)]``."""
+            """Returns the places of the beam in the coordinates of grid_sample, ``[tile, row, column, (x, y)]``."""
             across, down = torch.meshgrid(x, y, indexing="xy")
             moved = torch.stack(steady(across.flatten()[None], down.flatten()[None]), dim=-1).reshape(count, len(y), len(x), 2)
             at = torch.stack([across, down], dim=-1) + moved + more
@@ -141,7 +146,7 @@ class Recorder:
 
 
 def _turned(clean: Tensor, batch: dict[str, Tensor], chosen: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-    """Tiles mirrored along x, along y, and at the diagonal, each where it was chosen."""
+    """Mirrors tiles along x, along y, and at the diagonal, as chosen for each tile."""
     size = clean.shape[-1]
     batch = dict(batch)
     images = {"clean": clean, **{name: batch[name] for name in ("heat", "phase", "particle")}}
@@ -156,7 +161,7 @@ def _turned(clean: Tensor, batch: dict[str, Tensor], chosen: Tensor) -> tuple[Te
 
 
 def _late_light(profile: Profile, size: int) -> Tensor:
-    """What each pixel's light adds to the pixels of its line, ``[from, to]``."""
+    """Returns the share of each pixel's light in the pixels of its line, ``[from, to]``."""
     away = torch.arange(size)[None, :] - torch.arange(size)[:, None]
     step = math.exp(-_DWELL_US / profile.late_us)
     late = torch.where(away >= 0, (1 - step) * step ** away.clamp(min=0).float(), 0.0)

@@ -1,4 +1,4 @@
-"""Files of a training: whole or not there, whatever ends the process."""
+"""Writes the files of a training so that a killed process leaves no incomplete file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _VERSION = 1
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Writes a file under another name, and gives it its own when all of it is on the disk."""
+    """Writes a file under a temporary name, and renames it when it is completely on the disk."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with open(beside, "wb") as file:
@@ -35,18 +35,18 @@ def write_whole(path: Path, data: bytes) -> None:
 
 
 def write_checkpoint(path: Path, config: Config, step: int, state: Mapping[str, Any]) -> None:
-    """Saves all that a training goes on from."""
+    """Saves the state from which a training can continue."""
     buffer = io.BytesIO()
     torch.save({"version": _VERSION, "essence": json.dumps(config.essence()), "step": step, "state": dict(state)}, buffer)
     write_whole(path, buffer.getvalue())
 
 
 def read_checkpoint(path: Path, config: Config, device: torch.device) -> tuple[int, dict[str, Any]] | None:
-    """Steps that are done and their state; ``None`` without a checkpoint.
+    """Reads the number of finished steps, and their state; ``None`` without a checkpoint.
 
     Raises:
         FormatError: for a file that is no checkpoint.
-        InvalidValue: for one of another config; it says where they differ.
+        InvalidValue: for a checkpoint of another config. The message lists the differences.
     """
     if not path.exists():
         return None
@@ -64,14 +64,14 @@ def read_checkpoint(path: Path, config: Config, device: torch.device) -> tuple[i
 
 
 def _differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """Keys in which two configs differ, as text."""
+    """Lists the keys in which two configs differ, as text."""
     new = json.loads(json.dumps(new))
     keys = [(table, key) for table in new for key in new[table] if old.get(table, {}).get(key) != new[table][key]]
     return ", ".join(f"[{table}] {key}" for table, key in keys) or "of another version of the program"
 
 
 class Log:
-    """A file of JSON lines, one for each row. A training that goes on takes out what came after its checkpoint."""
+    """A file of JSON lines, one for each row. A continued training removes the rows after its checkpoint."""
 
     def __init__(self, path: Path, step: int) -> None:
         kept = []
@@ -84,7 +84,7 @@ class Log:
         self._file = open(path, "a", encoding="utf-8")  # noqa: SIM115
 
     def row(self, **values: Any) -> None:
-        """One more row, on the disk when this returns."""
+        """Appends a row, and waits until it is on the disk."""
         self._file.write(json.dumps(values) + "\n")
         self._file.flush()
 

@@ -1,4 +1,4 @@
-"""Batches of labelled noise-free tiles by their numbers: a stream, and what its columns were expected to hold."""
+"""Makes batches of labelled noise-free tiles from a stream, with the prior of each column."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from ..streaming import Sample, Stream, stream
 from .config import Config
 from .contents import Contents, contents_of, processors
 
-#: What a batch holds, by name: arrays whose first axis is the tile.
+#: The arrays of a batch by name. Their first axis is the tile.
 Batch = dict[str, npt.NDArray[Any]]
 
-#: Standard deviation of a column in heat maps, in pixels: neighbours of 3.5 pixels are two.
+#: Standard deviation of a column in heat maps, in pixels. Columns 3.5 pixels apart are still resolved.
 _HEAT_SIGMA_PX = 1.5
-#: A batch holds so many columns of a tile, the nearest to its middle; a tile of 128 pixels holds 500 at the coarsest.
+#: Greatest number of columns per pixel of a tile. Columns far from the centre are dropped. At the coarsest, a tile of 128 pixels has 500
+#: columns.
 _COLUMNS_PER_PIXEL = 1 / 24
 
 
 class TileBatches:
-    """Batches of tiles: number ``n`` is the same whatever was asked for before, and in any process.
+    """Makes batches of tiles by their numbers. A batch depends on its number alone, not on earlier batches or on the process.
 
     Attributes:
         contents: kinds and priors of the recipes.
@@ -57,7 +58,7 @@ class TileBatches:
         )
 
     def prepare(self, first: int = 0) -> None:
-        """Lays out the specimens of batches from ``first`` on, so that processes that are forked share them."""
+        """Lays out the specimens of batches from ``first`` on, so that forked processes share them."""
         index = first * self.batch
         with ThreadPoolExecutor(processors()) as pool:
             list(pool.map(lambda source: call(source.prepare, index, running(1, False)), self._stream._sources))
@@ -98,7 +99,7 @@ class TileBatches:
 
 
 def _in_the_field(sample: Sample, places_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Places (x, y) of a turned sample in nm of the field."""
+    """Converts places (x, y) in a rotated sample to nm in the field."""
     away = (places_px - (sample.clean.shape[0] - 1) / 2) * sample.pixel_nm
     turn = math.radians(sample.angle_deg)
     cosine, sine = math.cos(turn), math.sin(turn)
@@ -108,7 +109,7 @@ def _in_the_field(sample: Sample, places_px: npt.NDArray[np.float64]) -> npt.NDA
 
 
 def _particles(sample: Sample) -> npt.NDArray[np.float32]:
-    """Which cells of two pixels lie in the outline of a particle."""
+    """Returns a mask of the cells, 2 x 2 pixels each, with their centre in the outline of a particle."""
     size = sample.clean.shape[0] // 2
     middle = 2 * np.arange(size) + 0.5
     mask = np.zeros((size, size), dtype=np.float32)
@@ -118,7 +119,7 @@ def _particles(sample: Sample) -> npt.NDArray[np.float32]:
 
 
 def phases_of(recipe: Recipe) -> int:
-    """How many phases a recipe's specimens have."""
+    """Returns the number of phases of a recipe's specimens."""
     if "wells" in recipe:
         return 2
     return len(recipe["domains"]["phases"]) if "domains" in recipe else 1

@@ -1,4 +1,4 @@
-"""Trains the members of an ensemble on a stream, saves as it goes, and goes on where it was."""
+"""Trains the members of an ensemble on a stream, with checkpoints from which a training continues."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ CHECKPOINT, LOG = "checkpoint.pt", "log.jsonl"
 
 @dataclass(frozen=True)
 class TrainingSummary:
-    """What a call of :func:`train` did.
+    """Summary of a call of :func:`train`.
 
     Attributes:
-        networks: files of the members, in the order of their numbers; empty when it was interrupted.
-        steps: that are done, of how many.
-        before: steps that a checkpoint held already.
-        seconds: this call took.
+        networks: files of the members, in the order of their numbers; empty after an interruption.
+        steps: number of finished steps, and total number of steps.
+        before: number of steps that were finished before the call.
+        seconds: duration of the call.
         losses: means of the last lines of the log, by part.
-        interrupted: by Ctrl-C; the same call goes on.
+        interrupted: whether Ctrl-C or ``until`` ended the call. An identical call continues the training.
     """
 
     networks: tuple[str, ...]
@@ -55,7 +55,7 @@ class TrainingSummary:
 
 
 class _Numbered(Dataset[dict[str, Tensor]]):
-    """Batches by their numbers, from ``first`` on."""
+    """Batches as a dataset, numbered from ``first``."""
 
     def __init__(self, tiles: TileBatches, first: int, count: int) -> None:
         self._tiles, self._first, self._count = tiles, first, count
@@ -81,21 +81,21 @@ def train(
     until: float | None = None,
     tiles: TileBatches | None = None,
 ) -> TrainingSummary:
-    """Trains what a config says in a folder: ``checkpoint.pt``, ``log.jsonl``, and at the end ``member-0.onnx`` ...
+    """Trains the networks of a config in a folder. Writes ``checkpoint.pt``, ``log.jsonl``, and at the end ``member-0.onnx`` ...
 
-    The same config gives the same networks, on processors to the last bit, whether it was interrupted or not. A folder that holds a checkpoint
-    of this config goes on from it.
+    A config determines the networks, on CPUs to the last bit, also after interruptions. If the folder contains a checkpoint of this config,
+    the training continues from it.
 
     Args:
-        config: what :func:`read_config` reads.
-        out: the folder; it is made.
-        progress: is told how far it is; by default a line on standard error.
-        until: stop after so many seconds, at a checkpoint, as after Ctrl-C.
-        tiles: of this config, where they are at hand.
+        config: a config from :func:`read_config`.
+        out: the folder. It is created if it does not exist.
+        progress: function that receives lines of progress; by default they are printed on standard error.
+        until: seconds after which the training stops with a checkpoint, as after Ctrl-C.
+        tiles: batches of this config, if they exist already.
 
     Raises:
-        InvalidValue: where the folder holds a checkpoint of another config.
-        StemworldsError: when losses are no numbers any more.
+        InvalidValue: if the folder contains a checkpoint of another config.
+        StemworldsError: if losses become infinite or NaN.
     """
     began = time.monotonic()
     folder = Path(out)
@@ -142,7 +142,7 @@ def train(
 
 
 class _Run:
-    """The steps of one call."""
+    """Executes the steps of one call."""
 
     def __init__(self, config: Config, folder: Path, ensemble: Ensemble, recorder: Recorder, shown: Progress, first: int) -> None:
         self._config, self._folder, self._ensemble, self._recorder, self._shown = config, folder, ensemble, recorder, shown
@@ -154,7 +154,7 @@ class _Run:
         self._began = time.monotonic()
 
     def all(self, batches: Iterator[dict[str, Tensor]], end: float | None) -> bool:
-        """Steps until all are done; whether it was interrupted."""
+        """Executes the remaining steps. Returns whether they were interrupted."""
         steps, every = self._config.optimiser.steps, self._config.run.checkpoint_every
         try:
             while self.done < steps:
@@ -207,7 +207,7 @@ class _Run:
 
 
 def _batches(config: Config, tiles: TileBatches, first: int, processes: int, device: torch.device) -> Iterator[dict[str, Tensor]]:
-    """Tiles of each step from ``first`` on, on the device."""
+    """Yields the tiles of each step from ``first`` on, on the device."""
     repeats, steps = config.stream.repeats, config.optimiser.steps
     number = first // repeats
     count = -(-steps // repeats) - number
@@ -235,10 +235,10 @@ def _batches(config: Config, tiles: TileBatches, first: int, processes: int, dev
 
 
 def export(config: Config, out: str | os.PathLike[str], tiles: TileBatches | None = None) -> list[str]:
-    """Writes the networks of a training's last checkpoint, which may be far from its end; returns their files.
+    """Writes the networks of a training's last checkpoint, before its end. Returns the files.
 
     Raises:
-        FileMissing: without a checkpoint.
+        FileMissing: if there is no checkpoint.
     """
     folder = Path(out)
     found = read_checkpoint(folder / CHECKPOINT, config, torch.device("cpu"))
@@ -254,13 +254,13 @@ def export(config: Config, out: str | os.PathLike[str], tiles: TileBatches | Non
 
 
 def _maker(config: Config, tiles: TileBatches) -> Callable[[], Network]:
-    """Makes networks that tell apart what the tiles hold."""
+    """Returns a function that makes networks for the kinds, phases and types of defects of the tiles."""
     contents = tiles.contents
     return lambda: Network(config.network, len(contents.kinds), int(tiles.phases.max()), contents.log_chances.shape[1])
 
 
 def _exported(config: Config, folder: Path, networks: Sequence[Network], tiles: TileBatches) -> list[str]:
-    """Writes networks; those that are there are replaced."""
+    """Writes networks, and replaces existing files. Returns the files."""
     written = []
     for member, network in enumerate(networks):
         path = folder / f"member-{member}.onnx"

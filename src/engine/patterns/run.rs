@@ -155,7 +155,7 @@ impl PatternReach {
         self.outer.as_ref().is_none_or(|taken| taken.contains(&false))
     }
 
-    /// Sums over the rings that are read from the padded box, and over those read from the window's own frequencies.
+    /// Sums over the rings that are read from the padded box, and over the rings from the window's own frequencies.
     pub fn ring_sums(&self, plan: &Plan, bins: &RadialBins) -> [RingSums; 2] {
         let per_k = 1e3 * plan.settings.optics.wavelength_angstrom();
         let taken = |ring: usize| self.outer.as_ref().is_some_and(|outer| outer[ring]);

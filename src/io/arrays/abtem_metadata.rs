@@ -1,16 +1,16 @@
-//! abTEM's description of a measurement (1.0.11), as zarr and TIFF files hold it.
+//! Reads abTEM's description of a measurement (1.0.11) in zarr and TIFF files.
 
 use serde_json::Value;
 
 use super::{ArrayAxis, ForeignArray};
 use crate::io::named_axes::NamedAxis;
 
-/// Whether this is abTEM's description, and not one of another program.
+/// Whether a description comes from abTEM, and not from another program.
 pub fn describes(metadata: &Value) -> bool {
     metadata["axes"].is_object()
 }
 
-/// Takes over what a description says, if it fits the array.
+/// Copies the axes and settings of a description to the array, if the description fits it.
 pub fn describe(array: &mut ForeignArray, metadata: &Value) {
     let number = |key: &str| metadata[key].as_f64();
     array.energy_ev = number("energy");
@@ -23,7 +23,7 @@ pub fn describe(array: &mut ForeignArray, metadata: &Value) {
 }
 
 fn axis(value: &Value) -> Option<ArrayAxis> {
-    // Labels of reciprocal space say so in their unit, and have no place in an image.
+    // Axes of reciprocal space have a unit that shows it, and no place in an image.
     Some(ArrayAxis::named(&NamedAxis {
         name: value["label"].as_str()?.to_owned(),
         step: value["sampling"].as_f64(),

@@ -1,4 +1,4 @@
-//! HDF5: files of `stemgen simulate`, and any other with an image in it.
+//! Reads arrays from HDF5: files of `stemgen simulate`, and any other file with an image.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use crate::io::hdf5_guard::{check_storage, datasets, text};
 use crate::io::{At, regular_file};
 use crate::io::{hdf5_open, hdf5_values};
 
-/// Where files of this program have their images.
+/// Group of the images in files of this program.
 const IMAGES: &str = "/images/";
 
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
@@ -23,7 +23,7 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let refused = |fault: String| Error::parse(path, 0, fault);
     let mut names = Vec::new();
     let all = datasets(&file).map_err(refused)?;
-    // Files of this program show their images once more there.
+    // In files of this program this group links to the images a second time.
     let own = text(&file, "format").as_deref() == Some("stemgen images");
     for name in all.iter().filter(|name| !(own && name.starts_with("/entry/"))) {
         let dataset = file.dataset(name).at(path)?;
@@ -32,7 +32,7 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
             names.push(name.clone());
         }
     }
-    // The atoms of our own files are arrays too.
+    // Files of this program also hold arrays of atoms, which are no images.
     if names.iter().any(|n| n.starts_with(IMAGES)) {
         names.retain(|n| n.starts_with(IMAGES));
         names.iter_mut().for_each(|n| *n = n.trim_start_matches(IMAGES).to_owned());

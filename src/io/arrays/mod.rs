@@ -1,6 +1,6 @@
-//! Images of other programs: NumPy, zarr, TIFF and HDF5 files, with what they say of their axes.
+//! Reads images of other programs: NumPy, zarr, TIFF and HDF5 files, with the description of their axes.
 //!
-//! | file | what tells the axes |
+//! | file | source of the axes |
 //! |---|---|
 //! | `.npy`, `.npz` | nothing |
 //! | zarr, format 2 or 3 (`measurement.to_zarr`) | abTEM's metadata; names of dimensions |
@@ -27,10 +27,10 @@ use crate::setting::Setting;
 pub(super) use number_type::NumberType;
 pub(crate) use numpy::unpack as unpack_npz;
 
-/// What a file says of one dimension of an array.
+/// Description of one dimension of an array.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ArrayAxis {
-    /// `x`, `y`, `thickness` ...; may be empty.
+    /// Name: `x`, `y`, `thickness` ...; may be empty.
     pub label: String,
     /// Distance of neighbouring entries in Angstrom.
     pub sampling_angstrom: Option<f64>,
@@ -41,21 +41,21 @@ pub struct ArrayAxis {
 /// An array of another program.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ForeignArray {
-    /// The file.
+    /// Path of the file.
     pub path: PathBuf,
     /// Name of the array in the file; empty if it has none.
     pub name: String,
     /// The values, in the order of the file.
     pub data: ArrayD<f64>,
-    /// One for each dimension, if the file describes them.
+    /// Description of each dimension, if the file has one.
     pub axes: Option<Vec<ArrayAxis>>,
-    /// Beam energy, if the file tells it.
+    /// Beam energy, if the file gives it.
     pub energy_ev: Option<f64>,
-    /// Convergence semiangle, if the file tells it.
+    /// Convergence semiangle, if the file gives it.
     pub semiangle_mrad: Option<f64>,
-    /// What was done to the values so that they are what the file means, in words.
+    /// Conversions of the values after reading, in words.
     pub notes: Vec<String>,
-    /// Why the file tells no size of a pixel, where there is more to say than that.
+    /// Reason for a missing pixel size, if the file allows to give one.
     pub pixel_unsaid: Option<String>,
 }
 
@@ -70,8 +70,8 @@ pub fn is_hdf5(path: &Path) -> bool {
 /// Reads an array of real numbers with at least two dimensions. `name` chooses among several.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Parse`] for a foreign or damaged file, or a wrong name; [`Error::Choice`] when
-/// the name is missing: both list what there is.
+/// [`Error::Io`]; [`Error::Parse`] for a foreign or damaged file, or a wrong name; [`Error::Choice`] if the name is missing. The last two
+/// list the arrays in the file.
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
     if metadata.is_dir() {
@@ -98,15 +98,15 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     }
 }
 
-/// Most values that an array may have: 512 MiB as they are kept.
+/// Largest number of values in an array: 512 MiB in memory.
 pub const MOST_VALUES: usize = 1 << 26;
-/// Most axes that an array may have; NumPy has no more.
+/// Largest number of axes of an array; NumPy allows no more.
 const MOST_AXES: usize = 64;
 
-/// The number of values of an array of this shape, or why it is too large. Nothing was asked for yet.
+/// Returns the number of values of an array of this shape, or the reason why it is too large. Called before memory is requested.
 pub(super) fn held(shape: &[usize]) -> std::result::Result<usize, String> {
     let count = shape.iter().try_fold(1_usize, |n, length| n.checked_mul(*length));
-    // Axes of length 0 hide what the others come to.
+    // Axes of length 0 hide the lengths of the others.
     let fits = shape.len() <= MOST_AXES && shape.iter().all(|length| *length <= MOST_VALUES);
     count.filter(|n| fits && *n <= MOST_VALUES).ok_or_else(|| {
         let shown = &shape[..shape.len().min(MOST_AXES)];
@@ -118,7 +118,7 @@ pub(super) fn held(shape: &[usize]) -> std::result::Result<usize, String> {
 }
 
 impl ArrayAxis {
-    /// An axis whose step and first place are in a unit of length; of others only the name is kept.
+    /// Converts an axis whose step and origin are in a unit of length; for other axes only the name is kept.
     fn named(axis: &NamedAxis) -> Self {
         let angstrom = unit_nm(&axis.unit).map(|nm| 10.0 * nm);
         let length = |value: Option<f64>| Some(value? * angstrom?);
@@ -129,7 +129,7 @@ impl ArrayAxis {
         }
     }
 
-    /// The dimensions called x and y.
+    /// Returns the dimensions that are named x and y.
     pub fn x_and_y(axes: &[ArrayAxis]) -> Option<[usize; 2]> {
         x_and_y(axes.iter().map(|axis| axis.label.as_str()))
     }
@@ -149,18 +149,18 @@ impl ForeignArray {
         }
     }
 
-    /// An error that names this array's file and the setting that decides what is made of it.
+    /// Returns an error that names the array's file and the setting that has to be chosen.
     pub fn choice(&self, setting: Setting, message: impl Into<String>) -> Error {
         Error::choice(&self.path, setting, message)
     }
 
-    /// An error that names this array's file.
+    /// Returns an error that names the array's file.
     pub fn error(&self, message: impl Into<String>) -> Error {
         Error::parse(&self.path, 0, message)
     }
 }
 
-/// The array called `name`, or the only one there is.
+/// Returns the array called `name`, or the only array.
 pub(super) fn choose<'a>(path: &Path, found: &'a [String], name: Option<&str>) -> Result<&'a str> {
     const SHOWN: usize = 12;
     let mut listed = found.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
@@ -183,7 +183,7 @@ pub(super) fn choose<'a>(path: &Path, found: &'a [String], name: Option<&str>) -
     }
 }
 
-/// Refuses a name where there is nothing to choose.
+/// Refuses a name for a file with a single array.
 fn nameless(path: &Path, name: Option<&str>) -> Result<()> {
     match name {
         None => Ok(()),

@@ -1,10 +1,10 @@
-//! What one number of a file of arrays is.
+//! Types of numbers in files of arrays.
 
-/// A kind of real number, as NumPy and zarr name it.
+/// A type of real number, as NumPy and zarr name it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NumberType {
     kind: Kind,
-    /// Bytes of one number.
+    /// Number of bytes of one number.
     pub bytes: usize,
     big_endian: bool,
 }
@@ -17,7 +17,7 @@ enum Kind {
 }
 
 impl NumberType {
-    /// Of the name in zarr's format 3, such as `float32`.
+    /// Returns the type with a name of zarr's format 3, such as `float32`.
     pub fn named(name: &str, big_endian: bool) -> Option<Self> {
         let (kind, bits) = match name {
             "float32" | "float64" => (Kind::Float, &name[5..]),
@@ -28,7 +28,7 @@ impl NumberType {
         Some(NumberType { kind, bytes: bits.parse::<usize>().ok()? / 8, big_endian })
     }
 
-    /// Of NumPy's description, such as `<f4`.
+    /// Returns the type with NumPy's description, such as `<f4`.
     pub fn described(description: &str) -> Option<Self> {
         let (kind, bytes, big_endian) = match description.as_bytes() {
             [order @ (b'<' | b'>' | b'|'), kind, bytes @ b'1'..=b'8'] => {
@@ -45,7 +45,7 @@ impl NumberType {
         Some(NumberType { kind, bytes, big_endian })
     }
 
-    /// The number of its bytes.
+    /// Decodes one number from its bytes.
     pub fn decode(self, bytes: &[u8]) -> f64 {
         let mut word = [0_u8; 8];
         for (i, byte) in bytes.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! NumPy's `.npy` (<https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>) and `.npz`.
+//! Reads NumPy's `.npy` (<https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>) and `.npz`.
 
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek};
@@ -11,9 +11,9 @@ use super::number_type::NumberType;
 use super::{ForeignArray, choose, held, nameless};
 use crate::error::{Error, Result};
 
-/// Bytes that a header may have; NumPy writes 128.
+/// Largest size of a header in bytes; NumPy writes 128.
 const LONGEST_HEADER: usize = 1 << 16;
-/// Values that are decoded at a time.
+/// Number of values that are decoded at a time.
 const VALUES_AT_ONCE: usize = 1 << 16;
 
 type Decoded<T> = std::result::Result<T, String>;
@@ -46,10 +46,10 @@ pub fn read_npz(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     Ok(ForeignArray::plain(path, &chosen, data))
 }
 
-/// The arrays of real numbers in an `.npz`, with their names; dimensions in the order of the file.
+/// Returns the arrays of real numbers in an `.npz`, with their names; dimensions in the order of the file.
 ///
 /// # Errors
-/// The reason, for anything but an archive.
+/// The reason, for any bytes that are no archive.
 pub fn unpack(bytes: &[u8]) -> Decoded<Vec<(String, ArrayD<f64>)>> {
     let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(|e| e.to_string())?;
     let mut arrays = Vec::new();
@@ -80,13 +80,13 @@ fn unreadable(path: &Path, kind: &str, reason: &str) -> Error {
     )
 }
 
-/// What stands before the values.
+/// Header of an array, before its values.
 #[derive(Debug, PartialEq)]
 struct NpyHeader {
     number: NumberType,
     fortran: bool,
     shape: Vec<usize>,
-    /// Bytes of the header itself.
+    /// Number of bytes of the header.
     bytes: u64,
 }
 
@@ -133,7 +133,7 @@ impl NpyHeader {
     }
 }
 
-/// An array of any type of real number, from a file of `file_bytes` bytes.
+/// Decodes an array of any type of real number, from a file of `file_bytes` bytes.
 fn decode(mut from: impl Read, file_bytes: u64) -> Decoded<ArrayD<f64>> {
     let header = NpyHeader::read(&mut from)?;
     let count = held(&header.shape)?;
@@ -189,7 +189,7 @@ mod tests {
             let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
             read(&file(&header, &vec![0; values])).unwrap_err()
         };
-        // 128 bytes that claim 20 GB, and axes of length 0 that hide others
+        // Files of 128 bytes that claim 20 GB, and axes of length 0 that hide others.
         assert!(message("(50000, 50000)", 40).contains("at most"));
         assert!(message("(1099511627776, 0, 1099511627776)", 0).contains("at most"));
         assert!(message("(18446744073709551615, 3)", 0).contains("at most"));

@@ -1,4 +1,4 @@
-//! TIFF.
+//! Reads TIFF.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -16,12 +16,12 @@ use super::{
 };
 use crate::error::{Error, Result};
 
-/// Pixels that a byte of a file may stand for: LZW and deflate pack up to some thousands of equal ones in one.
+/// Largest number of pixels per byte of a file: LZW and deflate pack up to some thousands of equal pixels into one.
 const LARGEST_EXPANSION: u64 = 4096;
 
-/// Bytes that the values of a page may take as they are stored.
+/// Largest size in bytes of the stored values of a page.
 const LARGEST_PAGE_BYTES: usize = 8 * MOST_VALUES;
-/// The code of a photometric interpretation whose zero is white, and of formats of samples.
+/// Codes: of a photometric interpretation whose zero is white, and of sample formats.
 const WHITE_IS_ZERO: u16 = 0;
 const UNSIGNED: u16 = 1;
 const COMPLEX_FORMATS: [u16; 2] = [5, 6];
@@ -40,7 +40,7 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let limits = {
         let mut limits = Limits::default();
         limits.decoding_buffer_size = LARGEST_PAGE_BYTES;
-        // A page may be one strip.
+        // A page may consist of one strip.
         limits.intermediate_buffer_size = LARGEST_PAGE_BYTES;
         limits
     };
@@ -61,7 +61,7 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
             return Err(Error::parse(path, 0, "holds images of different sizes"));
         }
         shape = size;
-        // The values of a large image are not copied.
+        // The values of a large image are moved, not copied.
         if pages == 0 {
             values = content
         } else {
@@ -88,7 +88,7 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     Ok(array)
 }
 
-/// Takes over what the descriptions and the resolution say. Only abTEM names axes.
+/// Copies the calibration from the descriptions and the resolution. Only abTEM names axes.
 fn describe(array: &mut ForeignArray, descriptions: &[String], resolution: Resolution) {
     let parsed = descriptions.iter().filter_map(|text| serde_json::from_str(text).ok());
     if let Some(metadata) = parsed.into_iter().find(abtem_metadata::describes) {
@@ -121,11 +121,11 @@ fn resolution<R: Read + Seek>(decoder: &mut Decoder<R>) -> Resolution {
     Resolution { per_unit, unit }
 }
 
-/// A page of a TIFF.
+/// A page of a TIFF after decoding.
 enum TiffPage {
     /// Width and height, and the values.
     Grey((u32, u32), Vec<f64>),
-    /// Why it is refused.
+    /// Reason for refusing the page.
     Refused(&'static str),
 }
 
@@ -136,7 +136,7 @@ const COMPLEX: &str =
 const WHITE_FRACTIONS: &str = "says that its zero is white (PhotometricInterpretation 0), of values that have no \
                                black: only unsigned whole numbers have; save it with photometric=\"minisblack\"";
 
-/// Reads the current page.
+/// Decodes the current page.
 fn page<R: Read + Seek>(decoder: &mut Decoder<R>, file_bytes: u64) -> tiff::TiffResult<TiffPage> {
     let formats = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat)?.unwrap_or_default();
     if formats.iter().any(|format| COMPLEX_FORMATS.contains(format)) {

@@ -1,14 +1,14 @@
-//! The size of a pixel of a TIFF: what ImageJ or OME say of it in the description, or the resolution.
+//! Reads the size of a pixel of a TIFF: from ImageJ's or OME's description, or from the resolution.
 
 use crate::io::length_units::unit_nm;
 
-/// Sides of a pixel along x and y in Angstrom; why they are not known, where there is something to say of it.
+/// Sides of a pixel along x and y in Angstrom; otherwise a reason, if there is one to report.
 pub(super) type PixelSides = std::result::Result<[f64; 2], Option<String>>;
 
-/// The tags that tell how many pixels there are in a unit.
+/// The tags that give the number of pixels in a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Resolution {
-    /// Pixels in a unit along x and y.
+    /// Number of pixels in a unit along x and y.
     pub per_unit: Option<[f64; 2]>,
     /// Code of the unit: 1 for none, 2 for the inch, 3 for the centimetre.
     pub unit: Option<u32>,
@@ -16,10 +16,10 @@ pub(super) struct Resolution {
 
 const INCH: u32 = 2;
 const CENTIMETRE: u32 = 3;
-/// A resolution with larger pixels than this was made for a printer, not by a microscope: 25 400 in an inch.
+/// A resolution with larger pixels than this was made for a printer, not by a microscope: 25 400 pixels in an inch.
 const LARGEST_RESOLVED_ANGSTROM: f64 = 1e4;
 
-/// The sides of a pixel.
+/// Returns the sides of a pixel.
 pub(super) fn sides(descriptions: &[String], resolution: Resolution) -> PixelSides {
     let imagej = descriptions.iter().find(|text| text.starts_with("ImageJ="));
     let ome = descriptions.iter().find_map(|text| pixels_element(text));
@@ -30,7 +30,7 @@ pub(super) fn sides(descriptions: &[String], resolution: Resolution) -> PixelSid
     }
 }
 
-/// The unit of ImageJ. What is no letter of ASCII may be written as `\u00B5`.
+/// Returns the unit of ImageJ. Characters beyond ASCII may be written as `\u00B5`.
 fn imagej_unit(text: &str) -> Option<String> {
     let unit = text.lines().find_map(|line| line.strip_prefix("unit="))?.trim();
     let mut plain = String::new();
@@ -46,7 +46,7 @@ fn imagej_unit(text: &str) -> Option<String> {
     (!plain.is_empty()).then_some(plain)
 }
 
-/// Pixels of a named unit.
+/// Returns the sides from the number of pixels in a named unit.
 fn of_unit(unit: &str, resolution: Resolution) -> PixelSides {
     let Some(per_unit) = resolution.per_unit else { return Err(None) };
     let Some(nm) = unit_nm(unit) else {
@@ -57,7 +57,7 @@ fn of_unit(unit: &str, resolution: Resolution) -> PixelSides {
     positive(per_unit.map(|n| 10.0 * nm / n))
 }
 
-/// Pixels of an inch or a centimetre.
+/// Returns the sides from the number of pixels in an inch or a centimetre.
 fn of_tags(resolution: Resolution) -> PixelSides {
     let Some(per_unit) = resolution.per_unit else { return Err(None) };
     let (name, nm) = match resolution.unit {
@@ -80,7 +80,7 @@ fn positive(sides: [f64; 2]) -> PixelSides {
     if good { Ok(sides) } else { Err(None) }
 }
 
-/// The attributes of the first element `Pixels` of OME's XML.
+/// Returns the attributes of the first element `Pixels` in OME's XML.
 fn pixels_element(text: &str) -> Option<&str> {
     let text = text.contains("openmicroscopy.org").then_some(text)?;
     let at =
@@ -88,7 +88,7 @@ fn pixels_element(text: &str) -> Option<&str> {
     text[at..].split_once(' ')?.1.split('>').next()
 }
 
-/// Pixels of OME: `PhysicalSizeX` in `PhysicalSizeXUnit`, micrometres if there is none. `None` where it tells no sizes.
+/// Returns the sides from OME: `PhysicalSizeX` in `PhysicalSizeXUnit`, micrometres if there is no unit. `None` if it gives no sizes.
 fn of_ome(element: &str) -> Option<PixelSides> {
     let side = |axis: char| -> Option<std::result::Result<f64, String>> {
         let size: f64 = attribute(element, &format!("PhysicalSize{axis}"))?.parse().ok()?;
@@ -105,7 +105,7 @@ fn of_ome(element: &str) -> Option<PixelSides> {
     })
 }
 
-/// The value of an attribute of XML.
+/// Returns the value of an XML attribute.
 fn attribute(element: &str, name: &str) -> Option<String> {
     let open = [format!(" {name}=\""), format!(" {name}='")];
     let element = format!(" {}", element.replace(['\n', '\r', '\t'], " "));

@@ -1,6 +1,6 @@
-//! All descriptions of the first page of a TIFF.
+//! Reads all descriptions of the first page of a TIFF.
 //!
-//! A page should have one. abTEM 1.0.11 hands its own to tifffile, which adds a second, `{"shape": [6, 4]}`, and
+//! A page should have one description. abTEM 1.0.11 passes a description to tifffile, which adds a second, `{"shape": [6, 4]}`, and
 //! decoders keep the last.
 
 use std::fs::File;
@@ -9,29 +9,29 @@ use std::path::Path;
 
 const IMAGE_DESCRIPTION: u16 = 270;
 const ASCII: u16 = 2;
-/// Most tags of a page that are looked at, descriptions that are kept, and bytes of each.
+/// Largest number of tags of a page that are read and of descriptions that are kept, and largest size of each description.
 const MOST_TAGS: u64 = 4096;
 const MOST_DESCRIPTIONS: usize = 8;
 const MOST_BYTES: u64 = 1 << 20;
 
-/// The descriptions in the order of the file; those that cannot be read are left out.
+/// Returns the descriptions in the order of the file, without those that cannot be read.
 pub fn all(path: &Path) -> Vec<String> {
     let mut found = Vec::new();
-    // A file that ends too early is the decoder's to refuse.
+    // The decoder reports a file that ends too early.
     let _ = File::open(path).and_then(|file| collect(&mut BufReader::new(file), &mut found));
     found
 }
 
-/// How a file writes its numbers.
+/// Byte order and size of the numbers in a file.
 #[derive(Clone, Copy)]
 struct Layout {
     little: bool,
-    /// BigTIFF: places and counts have eight bytes.
+    /// Whether the file is BigTIFF, with offsets and counts of eight bytes.
     big: bool,
 }
 
 impl Layout {
-    /// A number of so many bytes.
+    /// Reads a number of `bytes` bytes.
     fn number(self, input: &mut impl Read, bytes: usize) -> std::io::Result<u64> {
         let mut raw = [0_u8; 8];
         input.read_exact(&mut raw[..bytes])?;
@@ -41,7 +41,7 @@ impl Layout {
         Ok(u64::from_le_bytes(raw))
     }
 
-    /// A place or a count.
+    /// Reads an offset or a count.
     fn offset(self, input: &mut impl Read) -> std::io::Result<u64> {
         self.number(input, self.offset_bytes())
     }
@@ -57,7 +57,7 @@ fn collect(input: &mut (impl Read + Seek), found: &mut Vec<String>) -> std::io::
     let mut layout = Layout { little: &order == b"II", big: false };
     layout.big = layout.number(input, 2)? == 43;
     if layout.big {
-        // The size of places, and two bytes of zeros.
+        // The size of offsets, and two zero bytes.
         layout.number(input, 4)?;
     }
     let directory = layout.offset(input)?;
@@ -91,7 +91,7 @@ mod tests {
     use super::*;
     use std::io::Cursor;
 
-    /// A directory of two descriptions: a long one, and one that fits beside its tag.
+    /// A directory of two descriptions: a long one, and one that fits into its tag.
     fn file(little: bool, big: bool) -> Vec<u8> {
         let number = |value: u64, bytes: usize| {
             let mut raw = value.to_le_bytes()[..bytes].to_vec();

@@ -1,5 +1,5 @@
-//! zarr folders, formats 2 and 3 (<https://zarr-specs.readthedocs.io>), as far as abTEM writes them: regular
-//! chunks, uncompressed or by zstd, gzip or zlib.
+//! Reads zarr folders, formats 2 and 3 (<https://zarr-specs.readthedocs.io>), as far as abTEM writes them: regular chunks, uncompressed or
+//! by zstd, gzip or zlib.
 
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -14,14 +14,14 @@ use crate::error::{Error, Result};
 
 const REMEDY: &str = "export the image with np.save(\"image.npy\", measurement.array) instead";
 
-/// Most bytes of an unpacked chunk.
+/// Largest size of an unpacked chunk in bytes.
 const LARGEST_CHUNK_BYTES: usize = 1 << 28;
-/// Most chunks of an array: each is a file to look for.
+/// Largest number of chunks of an array: each may be a file.
 const MOST_CHUNKS: usize = 1 << 18;
-/// Most bytes of a description in JSON.
+/// Largest size of a description in JSON in bytes.
 const LARGEST_JSON_BYTES: usize = 16 << 20;
 
-/// How chunks are compressed.
+/// Compression of chunks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Codec {
     None,
@@ -30,7 +30,7 @@ enum Codec {
     Zlib,
 }
 
-/// An array of the folder.
+/// Layout of an array in the folder.
 struct ZarrLayout {
     folder: PathBuf,
     shape: Vec<usize>,
@@ -38,7 +38,7 @@ struct ZarrLayout {
     number: NumberType,
     codec: Codec,
     fill: f64,
-    /// First index fastest.
+    /// Whether the first index runs fastest.
     fortran: bool,
     prefix: &'static str,
     separator: &'static str,
@@ -64,7 +64,7 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
         .map(|e| e.file_name().to_string_lossy().into_owned())
         .collect();
     names.sort();
-    // One that is asked for and no image has a reason of its own, and so has an only one.
+    // An array that is named, or the only one, is read even if it is no image: the error then gives the reason.
     let asked = name.filter(|name| names.iter().any(|n| n == name));
     if names.len() > 1 && asked.is_none() {
         names.retain(|name| !is_complex(&path.join(name)));
@@ -90,7 +90,7 @@ fn is_array(folder: &Path) -> bool {
     folder.join(".zarray").is_file() || v3()
 }
 
-/// Names of the dimensions of an array: zarr's own in format 3, and xarray's. They say nothing of its pixels.
+/// Returns the names of an array's dimensions, from zarr format 3 or xarray. They do not give the size of a pixel.
 fn dimension_names(folder: &Path, count: usize) -> Option<Vec<ArrayAxis>> {
     let own = json(&folder.join("zarr.json")).unwrap_or_default();
     let attributes = attributes(folder).ok()?;
@@ -184,7 +184,7 @@ impl ZarrLayout {
         })
     }
 
-    /// Reads all chunks. One that is not there holds the fill value.
+    /// Reads all chunks. A missing chunk holds the fill value.
     fn data(&self) -> Result<ArrayD<f64>> {
         let refused = |reason: String| Error::parse(&self.folder, 0, reason);
         held(&self.shape).map_err(refused)?;
@@ -212,7 +212,7 @@ impl ZarrLayout {
         Ok(out)
     }
 
-    /// Puts the values of the chunk at `place` where they belong. Chunks at the edge go on beyond the array.
+    /// Copies the values of the chunk at `place` into the array. Chunks at the edge extend beyond the array.
     fn fill_in(&self, out: &mut ArrayD<f64>, place: &[usize], bytes: &[u8]) {
         let axes: Vec<usize> = match self.fortran {
             true => (0..place.len()).collect(),
@@ -234,7 +234,7 @@ impl ZarrLayout {
         }
     }
 
-    /// The unpacked bytes of a chunk of `size` values; `None` if it is not there.
+    /// Returns the unpacked bytes of a chunk of `size` values; `None` if the chunk is missing.
     fn chunk_bytes(&self, place: &[usize], size: usize) -> Result<Option<Vec<u8>>> {
         let numbers: Vec<String> = place.iter().map(usize::to_string).collect();
         let mut key = numbers.join(self.separator);
@@ -244,7 +244,7 @@ impl ZarrLayout {
         let path = self.folder.join(key);
         let bad = |reason: String| Error::parse(&path, 0, format!("damaged chunk: {reason}"));
         let expected = size * self.number.bytes;
-        // Codecs of incompressible values add a little.
+        // Codecs make incompressible values slightly longer.
         let Some(packed) = small_file(&path, expected + expected / 8 + 4096)? else {
             return Ok(None);
         };
@@ -259,7 +259,7 @@ impl ZarrLayout {
     }
 }
 
-/// A file that is neither a link to another place, nor larger than `most`; `None` if it is not there.
+/// Opens a file that is neither a link nor larger than `most`; `None` if it does not exist.
 fn small_file(path: &Path, most: usize) -> Result<Option<File>> {
     let about = match std::fs::symlink_metadata(path) {
         Ok(about) => about,
@@ -280,7 +280,7 @@ fn small_file(path: &Path, most: usize) -> Result<Option<File>> {
     File::open(path).map(Some).map_err(|e| Error::io(path, "read", e))
 }
 
-/// Unpacks up to one byte more than expected. A chunk is not in memory as it is packed.
+/// Unpacks up to one byte more than expected. The packed chunk is read as a stream, and not kept in memory.
 fn unpack(
     codec: Codec,
     packed: impl Read,
@@ -299,7 +299,7 @@ fn unpack(
     read.map(|_| out).map_err(|e| e.to_string())
 }
 
-/// What stands between the numbers of a chunk's name. Anything else might lead out of the folder.
+/// Returns the separator of the numbers in a chunk's name. Any other text could lead out of the folder.
 fn separator(folder: &Path, value: &Value, usual: &'static str) -> Result<&'static str> {
     match value.as_str() {
         None => Ok(usual),
@@ -344,7 +344,7 @@ mod tests {
              \"filters\":null,\"compressor\":{compressor},\"zarr_format\":2}}"
         );
         std::fs::write(folder.join(".zarray"), meta).unwrap();
-        // 10 r + c in all chunks but the last, which is not there
+        // The values are 10 r + c in all chunks but the last, which is missing.
         for (r, c) in [(0, 0), (0, 1), (1, 0)] {
             let value = |i: usize| (10 * (2 * r + i / 4) + 4 * c + i % 4) as f32;
             let bytes: Vec<u8> = (0..8).flat_map(|i| value(i).to_le_bytes()).collect();

@@ -1,4 +1,4 @@
-//! Images of DigitalMicrograph's files (DM3, DM4).
+//! Reads images of DigitalMicrograph's files (DM3, DM4).
 
 use std::path::Path;
 
@@ -10,15 +10,15 @@ use crate::error::Result;
 use crate::io::arrays::{NumberType, choose, held};
 use crate::io::length_units::square_nm;
 
-/// Values that are decoded at a time: a large image is not in memory twice.
+/// Number of values that are decoded at a time, so that a large image is not in memory twice.
 const VALUES_AT_ONCE: u64 = 1 << 20;
-/// Kind of the values of thumbnails.
+/// Code of the values of thumbnails.
 const COLOURS: f64 = 23.0;
 
 /// An image of a file, before its values are read.
 struct DmImage {
     name: String,
-    /// Columns, rows, and what comes after them.
+    /// Numbers of columns and rows, and the lengths of further axes.
     lengths: Vec<usize>,
     /// Code of the kind of its values.
     kind: f64,
@@ -38,7 +38,7 @@ pub(super) fn read(path: &Path, choice: &ImageChoice) -> Result<RecordedImage> {
     let names: Vec<String> = images.iter().map(|image| image.name.clone()).collect();
     let asked = choice.dataset.as_ref().filter(|name| names.contains(name));
     let name = match asked {
-        // One that is asked for and no image has a reason of its own, and so has an only one.
+        // An image that is named, or the only one, is read even if its values are refused: the error then gives the reason.
         Some(name) => name.clone(),
         None => {
             let grey = |image: &&DmImage| number_type(image.kind, false).is_ok();
@@ -90,7 +90,7 @@ pub(super) fn read(path: &Path, choice: &ImageChoice) -> Result<RecordedImage> {
     })
 }
 
-/// The images but thumbnails.
+/// Returns the images without thumbnails.
 fn images(tree: &DmTag, file: &mut DmFile) -> Vec<DmImage> {
     let Some(list) = tree.get(&["ImageList"]) else { return Vec::new() };
     let thumbnails: Vec<f64> = match tree.get(&["Thumbnails"]) {
@@ -102,7 +102,7 @@ fn images(tree: &DmTag, file: &mut DmFile) -> Vec<DmImage> {
     let mut images: Vec<DmImage> = Vec::new();
     for (number, tags) in list.entries().enumerate() {
         let kind = tags.number(&["ImageData", "DataType"]).unwrap_or(0.0);
-        // Files without a list of thumbnails begin with one.
+        // Files without a list of thumbnails begin with a thumbnail.
         let first = thumbnails.is_empty() && number == 0 && kind == COLOURS;
         if thumbnails.contains(&(number as f64)) || first {
             continue;
@@ -131,7 +131,7 @@ fn images(tree: &DmTag, file: &mut DmFile) -> Vec<DmImage> {
 }
 
 impl DmImage {
-    /// The values of one frame, (rows, columns).
+    /// Reads the values of one frame, [row, column].
     fn frame(
         &self,
         [rows, columns]: [usize; 2],
@@ -164,7 +164,7 @@ impl DmImage {
     }
 }
 
-/// What the values of an image are.
+/// Returns the type of an image's values.
 fn number_type(kind: f64, big_endian: bool) -> Tagged<NumberType> {
     let name = match kind as i64 {
         1 => "int16",

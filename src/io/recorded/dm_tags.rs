@@ -1,8 +1,8 @@
-//! The tags of DigitalMicrograph's files: DM3 and DM4, as C. B. Boothroyd ("Digital Micrograph file format",
-//! Nanyang Technological University) and G. Jefferis (the DM3 page of ImageJ) found them; Gatan publishes no description.
+//! Reads the tags of DigitalMicrograph's files: DM3 and DM4, as described by C. B. Boothroyd ("Digital Micrograph file format", Nanyang
+//! Technological University) and G. Jefferis (the DM3 page of ImageJ); Gatan publishes no description.
 //!
-//! A file is a tree of groups with names. Numbers that describe tags are big-endian, in DM4 of 8 bytes where DM3 has 4;
-//! values have the order of bytes that the head of the file says. Values of arrays are not read before they are asked for.
+//! A file is a tree of named groups. Numbers that describe tags are big-endian, with 8 bytes in DM4 where DM3 has 4; values have the byte
+//! order that the header of the file gives. Values of arrays are only read on request.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -10,18 +10,18 @@ use std::path::Path;
 
 use crate::error::{Error, Result};
 
-/// Groups may lie this deep in each other.
+/// Largest depth of nested groups.
 const DEEPEST: usize = 64;
-/// Tags that a file may have.
+/// Largest number of tags in a file.
 const MOST_TAGS: u64 = 1 << 20;
-/// Numbers that describe the type of one value.
+/// Largest number of numbers that describe the type of one value.
 const MOST_TYPE_NUMBERS: u64 = 1 << 12;
-/// Letters that a text may have.
+/// Largest number of letters in a text.
 const LONGEST_TEXT: u64 = 1 << 12;
-/// Bytes of the shortest tag.
+/// Number of bytes of the shortest tag.
 const SHORTEST_TAG: u64 = 3;
 
-/// Why a file is refused.
+/// Result with the reason for which a file is refused.
 pub(super) type Tagged<T> = std::result::Result<T, String>;
 
 /// A tag.
@@ -33,25 +33,25 @@ pub(super) enum DmTag {
     Number(f64),
     /// Many numbers.
     Array(DmArray),
-    /// A record, or a type that nothing here asks for.
+    /// A record, or a type that this program does not use.
     Other,
 }
 
-/// Where the numbers of an array lie.
+/// Place of an array's numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct DmArray {
     /// Code of the type of a number; 0 for records.
     pub code: u64,
-    /// Bytes of an entry.
+    /// Number of bytes of an entry.
     pub entry_bytes: u64,
-    /// Entries.
+    /// Number of entries.
     pub count: u64,
-    /// Place of the first in the file.
+    /// Offset of the first entry in the file.
     pub at: u64,
 }
 
 impl DmTag {
-    /// The tag at the end of a path of names; `#2` is the third of a group.
+    /// Returns the tag at the end of a path of names; `#2` is the third tag of a group.
     pub fn get(&self, path: &[&str]) -> Option<&DmTag> {
         let Some((name, rest)) = path.split_first() else { return Some(self) };
         let DmTag::Group(tags) = self else { return None };
@@ -62,7 +62,7 @@ impl DmTag {
         found?.1.get(rest)
     }
 
-    /// The number at the end of a path.
+    /// Returns the number at the end of a path.
     pub fn number(&self, path: &[&str]) -> Option<f64> {
         match self.get(path)? {
             DmTag::Number(number) => Some(*number),
@@ -70,7 +70,7 @@ impl DmTag {
         }
     }
 
-    /// The tags of a group, without their names.
+    /// Returns the tags of a group, without their names.
     pub fn entries(&self) -> impl Iterator<Item = &DmTag> {
         let tags = match self {
             DmTag::Group(tags) => tags.as_slice(),
@@ -92,7 +92,7 @@ pub(super) struct DmFile {
 }
 
 impl DmFile {
-    /// Opens a file and reads its head.
+    /// Opens a file and reads its header.
     pub fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(|e| Error::io(path, "read", e))?;
         let bytes = file.metadata().map_err(|e| Error::io(path, "read", e))?.len();
@@ -102,7 +102,7 @@ impl DmFile {
         Ok(dm)
     }
 
-    /// An error about this file.
+    /// Returns an error about this file.
     pub fn refused(&self, path: &Path, reason: &str) -> Error {
         let name = if self.is_dm4 { "DM4" } else { "DM3" };
         Error::parse(path, 0, format!("is no readable {name} file: {reason}"))
@@ -114,7 +114,7 @@ impl DmFile {
             4 => true,
             other => return Err(format!("its version is {other}, expected 3 or 4")),
         };
-        // The length of the file; programs that write it differ about what counts.
+        // The length of the file, which is ignored: programs that write it count differently.
         self.size()?;
         self.big_endian = match self.big(4)? {
             0 => true,
@@ -124,7 +124,7 @@ impl DmFile {
         Ok(())
     }
 
-    /// All tags.
+    /// Reads all tags.
     pub fn tree(&mut self) -> Tagged<DmTag> {
         self.group(0)
     }
@@ -133,7 +133,7 @@ impl DmFile {
         if depth > DEEPEST {
             return Err(format!("it has groups more than {DEEPEST} deep in each other"));
         }
-        // Whether it is sorted, and open.
+        // Flags for sorted and open groups, which are ignored.
         self.big(2)?;
         let count = self.size()?;
         self.tags = self.tags.saturating_add(count);
@@ -157,7 +157,7 @@ impl DmFile {
         let mut name = vec![0; length as usize];
         self.fill(&mut name)?;
         if self.is_dm4 {
-            // Bytes of the tag.
+            // Number of bytes of the tag.
             self.size()?;
         }
         let tag = match kind {
@@ -212,7 +212,7 @@ impl DmFile {
         }
     }
 
-    /// A text, which is an array of letters of UTF-16.
+    /// Reads a text, which is an array of UTF-16 letters.
     pub fn text(&mut self, tag: Option<&DmTag>) -> Option<String> {
         let Some(DmTag::Array(DmArray { code: 4, count, at, .. })) = tag else { return None };
         if *count > LONGEST_TEXT {
@@ -224,7 +224,7 @@ impl DmFile {
         Some(String::from_utf16_lossy(&letters).trim_end_matches('\0').to_owned())
     }
 
-    /// So many bytes from a place.
+    /// Reads `bytes` bytes at an offset.
     pub fn part(&mut self, at: u64, bytes: u64) -> Tagged<Vec<u8>> {
         if at.checked_add(bytes).is_none_or(|end| end > self.bytes) {
             return Err("a value lies beyond its end".into());
@@ -236,7 +236,7 @@ impl DmFile {
         Ok(part)
     }
 
-    /// Whether the greater bytes of values come first.
+    /// Whether the high bytes of values come first.
     pub fn big_endian(&self) -> bool {
         self.big_endian
     }
@@ -246,18 +246,18 @@ impl DmFile {
     }
 
     fn skip(&mut self, bytes: u64) -> Tagged<()> {
-        // Checked to be in the file, whose length fits.
+        // The bytes were checked to lie in the file, whose length fits into the type.
         self.from.seek_relative(bytes as i64).map_err(|e| e.to_string())?;
         self.at += bytes;
         Ok(())
     }
 
-    /// A length: 4 bytes in DM3, 8 in DM4.
+    /// Reads a length: 4 bytes in DM3, 8 in DM4.
     fn size(&mut self) -> Tagged<u64> {
         self.big(if self.is_dm4 { 8 } else { 4 })
     }
 
-    /// A big-endian number of so many bytes.
+    /// Reads a big-endian number of `bytes` bytes.
     fn big(&mut self, bytes: usize) -> Tagged<u64> {
         let mut word = [0; 8];
         self.fill(&mut word[8 - bytes..])?;
@@ -271,7 +271,7 @@ impl DmFile {
     }
 }
 
-/// Bytes of a value whose type these numbers describe.
+/// Returns the number of bytes of a value whose type these numbers describe.
 fn bytes_of(numbers: &[u64], depth: usize) -> Tagged<u64> {
     let unknown = || {
         format!("a value has the type {:?}, which is not known", &numbers[..numbers.len().min(8)])
@@ -298,7 +298,7 @@ fn bytes_of(numbers: &[u64], depth: usize) -> Tagged<u64> {
     }
 }
 
-/// Bytes of a number.
+/// Returns the number of bytes of a number.
 fn scalar_bytes(code: u64) -> Option<u64> {
     match code {
         8..=10 => Some(1),

@@ -1,4 +1,4 @@
-//! An HDF5 file with images: its data sets, read within what the file can hold.
+//! Reads the data sets of an HDF5 file with images, within the limits that its size sets.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -36,17 +36,17 @@ impl Hdf5Source {
         Ok(Hdf5Source { path: path.to_owned(), file, bytes, names })
     }
 
-    /// An error about this file.
+    /// Returns an error about this file.
     pub fn refused(&self, fault: impl Into<String>) -> Error {
         Error::parse(&self.path, 0, fault)
     }
 
-    /// Whether there is a data set of that path.
+    /// Whether a data set has this path.
     pub fn has(&self, name: &str) -> bool {
         self.names.iter().any(|n| n == name)
     }
 
-    /// A data set whose values lie in this file.
+    /// Opens a data set whose values lie in this file.
     pub fn dataset(&self, name: &str) -> Result<Dataset> {
         let opened = self.file.dataset(name);
         let dataset = opened.map_err(|e| self.refused(format!("{name}: {}", first_line(&e))))?;
@@ -54,7 +54,7 @@ impl Hdf5Source {
         Ok(dataset)
     }
 
-    /// All values of a data set.
+    /// Reads all values of a data set.
     pub fn all<T: Plain>(&self, name: &str) -> Result<ArrayD<T>> {
         let dataset = self.dataset(name)?;
         held(&dataset.shape()).map_err(|f| self.refused(f))?;
@@ -62,7 +62,7 @@ impl Hdf5Source {
         values.map_err(|f| self.refused(format!("{name} {f}")))
     }
 
-    /// Part of the values of a data set.
+    /// Reads a part of the values of a data set.
     pub fn part<T: Plain>(&self, name: &str, ranges: &[Range<usize>]) -> Result<ArrayD<T>> {
         let dataset = self.dataset(name)?;
         let lengths: Vec<usize> = ranges.iter().map(Range::len).collect();
@@ -71,8 +71,9 @@ impl Hdf5Source {
         values.map_err(|f| self.refused(format!("{name} {f}")))
     }
 
-    /// The image of a data set, [row, column], whose dimensions `[y, x]` count rows and columns; without them, the two that are not
-    /// `frames`, which counts the frames of a data set of three. A third dimension counts frames; more may be of length 1.
+    /// Reads the image of a data set, [row, column]. The dimensions `plane`, `[y, x]`, count rows and columns; without them the two
+    /// dimensions other than `frames` do, where `frames` counts the frames of a data set of three dimensions. Further dimensions must have
+    /// length 1.
     pub fn image(
         &self,
         name: &str,
@@ -106,7 +107,7 @@ impl Hdf5Source {
         let image: Array2<f64> =
             values.into_dimensionality().map_err(|e| self.refused(e.to_string()))?;
         let image = if x < y { image.reversed_axes() } else { image };
-        // A large image is not copied where it lies in order.
+        // A large image in standard order is not copied.
         Ok(if image.is_standard_layout() { image } else { image.as_standard_layout().into_owned() })
     }
 
@@ -117,7 +118,7 @@ impl Hdf5Source {
         ))
     }
 
-    /// What the file says of the axes of a data set, in its order.
+    /// Returns the description of the axes of a data set, in its order.
     pub fn axes(&self, name: &str) -> Option<Vec<NamedAxis>> {
         let dataset = self.dataset(name).ok()?;
         let source = AxisSource {
@@ -145,7 +146,7 @@ impl Hdf5Source {
         }
     }
 
-    /// Data sets that may be images: real numbers and two axes or more.
+    /// Returns the data sets that may be images: real numbers and two axes or more.
     pub fn images(&self) -> Vec<String> {
         let may_be = |name: &&String| {
             self.file.dataset(name).is_ok_and(|d| {
@@ -157,7 +158,7 @@ impl Hdf5Source {
         self.names.iter().filter(may_be).cloned().collect()
     }
 
-    /// Why the first data set of real numbers that is refused is: packed too much, cut off, in another file.
+    /// Returns the error of the first data set of real numbers that is refused: compressed too much, cut off, or in another file.
     pub fn refusal(&self) -> Option<Error> {
         self.names
             .iter()
@@ -166,11 +167,11 @@ impl Hdf5Source {
     }
 }
 
-/// What the values of a data set are.
+/// Kind of the values of a data set.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum ValueKind {
     Real,
-    /// Values of several parts, with their names.
+    /// Compound values, with the names of their parts.
     Compound(String),
     Other,
 }

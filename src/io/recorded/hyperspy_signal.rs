@@ -1,4 +1,4 @@
-//! HDF5 files of HyperSpy (`.hspy`, `.hdf5`): signals at `/Experiments/NAME/data`, with a group for each axis beside them.
+//! Reads HDF5 files of HyperSpy (`.hspy`, `.hdf5`): signals at `/Experiments/NAME/data`, with a group for each axis beside them.
 
 use super::hdf5_source::Hdf5Source;
 use super::{ImageAxes, ImageChoice, RecordedFormat, RecordedImage};
@@ -8,7 +8,7 @@ use crate::io::hdf5_guard::{any_text, number};
 use crate::io::named_axes::NamedAxis;
 
 const SIGNALS: &str = "/Experiments/";
-/// Energies in keV below its metadata, for images of either kind of microscope.
+/// Groups with energies in keV in the metadata of a signal, for both kinds of microscopes.
 const ENERGIES: [&str; 2] = ["STEM", "TEM"];
 
 /// Whether a file has the layout of HyperSpy.
@@ -24,11 +24,11 @@ fn signals(source: &Hdf5Source) -> Vec<String> {
     source.names.iter().filter_map(name).collect()
 }
 
-/// Reads a signal, or one image of a stack of them.
+/// Reads a signal, or one image of a stack.
 pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<RecordedImage> {
     let names = signals(source);
     let data = |name: &str| format!("{SIGNALS}{name}/data");
-    // One that is asked for and no image has a reason of its own.
+    // A signal that is named is read even if it is no image: the error then gives the reason.
     let asked = choice.dataset.as_deref().filter(|name| source.has(&data(name)));
     let offered: Vec<String> = match names.len() {
         1 => names,
@@ -61,7 +61,7 @@ pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<Recorded
     })
 }
 
-/// What a signal says of one of its dimensions.
+/// Reads the description of one dimension of a signal.
 fn axis(source: &Hdf5Source, group: &str, at: usize) -> NamedAxis {
     let Ok(about) = source.file.group(&format!("{group}/axis-{at}")) else {
         return NamedAxis::default();

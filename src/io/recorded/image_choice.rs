@@ -1,11 +1,11 @@
-//! Which image of a file is read.
+//! The choice of an image in a file.
 
 use std::path::Path;
 
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Which image of a file that holds several.
+/// Choice among the images of a file.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ImageChoice {
     /// Name of the image, or path of its data set.
@@ -14,7 +14,7 @@ pub struct ImageChoice {
     pub index: Option<usize>,
 }
 
-/// The frame to read of so many, from 0.
+/// Returns the number, from 0, of the frame to read out of `frames`.
 pub(super) fn frame_of(
     path: &Path,
     name: &str,

@@ -1,6 +1,6 @@
-//! Recorded images: files of microscopes and of the programs that evaluate their images.
+//! Reads recorded images: files of microscopes and of the programs that evaluate their images.
 //!
-//! | file | what it says of its pixels |
+//! | file | information about its pixels |
 //! |---|---|
 //! | DM3, DM4 (DigitalMicrograph) | size and unit of each image |
 //! | EMD of Velox | size, detector and energy of each image |
@@ -11,9 +11,9 @@
 //! | zarr | abTEM's metadata |
 //! | `.npy`, `.npz` | nothing |
 //!
-//! The kind of a file is found in its first bytes. Axes that are named x and y say how the image lies; without names the last
-//! but one dimension counts rows. Values are read as they are stored; none are scaled, and those of a TIFF whose zero is white are
-//! counted from black.
+//! The kind of a file is recognised by its first bytes. Axes that are named x and y determine the orientation of the image; without names
+//! the last but one dimension counts rows. Values are read as they are stored, without scaling; values of a TIFF whose zero is white are
+//! inverted, so that they count from black.
 
 mod dm_image;
 mod dm_tags;
@@ -54,12 +54,12 @@ pub enum RecordedFormat {
     UnitCells,
     /// Any other HDF5.
     Hdf5,
-    /// An array of `.tif`, `.npy`, `.npz` or zarr.
+    /// An array in `.tif`, `.npy`, `.npz` or zarr.
     Array,
 }
 
 impl RecordedFormat {
-    /// The name for a reader.
+    /// Returns the name of the format in words.
     pub fn name(self) -> &'static str {
         match self {
             RecordedFormat::Dm3 => "DM3",
@@ -73,40 +73,40 @@ impl RecordedFormat {
     }
 }
 
-/// A recorded image, with what its file says of it.
+/// A recorded image, with the information in its file.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RecordedImage {
-    /// The file.
+    /// Path of the file.
     pub path: PathBuf,
-    /// Its kind.
+    /// Kind of the file.
     pub format: RecordedFormat,
     /// Name of the image in the file; may be empty.
     pub name: String,
-    /// The values, [row, column], as they are stored; those that are no finite numbers were not recorded.
+    /// Values [row, column] as they are stored; pixels without a finite number were not recorded.
     pub pixels: Array2<f64>,
-    /// Edge of a pixel in nm as the file says, or why that is not known.
+    /// Edge of a pixel in nm as the file gives it, or the reason why it is not known.
     pub pixel_nm: StatedPixel,
     /// Unit cells that the file lists.
     pub cells: Option<RecordedCells>,
-    /// Energy of the electrons, if the file tells it.
+    /// Energy of the electrons, if the file gives it.
     pub energy_kev: Option<f64>,
-    /// Name of the detector, if the file tells it.
+    /// Name of the detector, if the file gives it.
     pub detector: Option<String>,
-    /// What was done to the image so that it lies as its file means it, in words.
+    /// Changes of the image's orientation after reading, in words.
     pub notes: Vec<String>,
 }
 
-/// What axes say of an image.
+/// Information of the axes about an image.
 #[derive(Debug, Clone, PartialEq)]
 struct ImageAxes {
-    /// The dimensions of rows and columns, where x and y are named.
+    /// The dimensions of rows and columns, if x and y are named.
     plane: Option<[usize; 2]>,
     pixel_nm: StatedPixel,
 }
 
 impl ImageAxes {
-    /// Of the axes that a file names; otherwise of its last two.
+    /// Uses the named axes, or else the last two.
     fn of(axes: &[NamedAxis]) -> Self {
         let named = x_and_y(axes.iter().map(|axis| axis.name.as_str()));
         let plane = named.map(|[x, y]| [y, x]);
@@ -123,7 +123,7 @@ impl ImageAxes {
         ImageAxes { plane, pixel_nm }
     }
 
-    /// What is said where the file holds its image as [x, y].
+    /// Reports that the file holds its image as [x, y].
     fn notes(&self) -> Vec<String> {
         let turned = self.plane.is_some_and(|[y, x]| x < y);
         let note = "the file names its axes x, y in that order: the image is transposed, so that rows count y";
@@ -136,7 +136,7 @@ const UNSAID: &str = "it says nothing of its pixels";
 /// First bytes of an HDF5 file.
 const HDF5_MARK: &[u8] = b"\x89HDF\r\n\x1a\n";
 
-/// What the first bytes of a file say that it is.
+/// Kind of a file, from its first bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum FileKind {
     Dm,
@@ -162,7 +162,7 @@ impl FileKind {
     }
 }
 
-/// Whether a file is one for the HDF5 library.
+/// Whether a file is read by the HDF5 library.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -173,8 +173,8 @@ pub fn is_hdf5_inside(path: &Path) -> Result<bool> {
 /// Reads an image.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Parse`] for a foreign or damaged file, a wrong name, and values that are no real numbers;
-/// [`Error::Choice`] where the file holds several images or frames and none is chosen: both list what there is.
+/// [`Error::Io`]; [`Error::Parse`] for a foreign or damaged file, a wrong name, and values that are no real numbers; [`Error::Choice`] if
+/// the file holds several images or frames and none is chosen. The last two list the images in the file.
 pub fn read(path: &Path, choice: &ImageChoice) -> Result<RecordedImage> {
     let image = match FileKind::of(path)? {
         FileKind::Dm => dm_image::read(path, choice),

@@ -1,4 +1,4 @@
-//! Images of files that have no layout of their own here: any HDF5, and TIFF, NumPy and zarr.
+//! Reads images of files without a layout that is known here: any HDF5, TIFF, NumPy and zarr.
 
 use std::path::Path;
 
@@ -10,14 +10,14 @@ use crate::error::{Error, Result};
 use crate::io::arrays::{self, ArrayAxis, ForeignArray, choose};
 use crate::io::named_axes::NamedAxis;
 
-/// Endings of the arrays that are no HDF5.
+/// Endings of array files other than HDF5.
 const ENDINGS: [&str; 5] = ["npy", "npz", "tif", "tiff", "zarr"];
 
 /// Reads an image of an HDF5 file by its path.
 pub(super) fn read_hdf5(source: &Hdf5Source, choice: &ImageChoice) -> Result<RecordedImage> {
     let whole = |name: &str| format!("/{}", name.trim_matches('/'));
     let wanted = choice.dataset.as_deref().map(whole);
-    // One that is there and no image has a reason of its own.
+    // A data set that is named is read even if it is no image: the error then gives the reason.
     let name = match wanted.filter(|name| source.has(name)) {
         Some(name) => name,
         None => {
@@ -44,7 +44,7 @@ pub(super) fn read_hdf5(source: &Hdf5Source, choice: &ImageChoice) -> Result<Rec
     })
 }
 
-/// What a file is by its name, where HyperSpy reads it and this program does not.
+/// Names the kind of a file that HyperSpy reads and this program does not, by its ending.
 fn converted_by_hyperspy(ending: &str) -> Option<&'static str> {
     match ending {
         "mrc" | "mrcs" | "map" | "rec" | "st" => Some("an MRC file"),
@@ -95,7 +95,7 @@ pub(super) fn read_plain(path: &Path, choice: &ImageChoice) -> Result<RecordedIm
     })
 }
 
-/// The image of an array whose dimensions `[y, x]` count rows and columns; without them, its last two. A third counts frames.
+/// Returns the image of an array whose dimensions `[y, x]` count rows and columns; without them, its last two. A third counts frames.
 fn image_of(
     array: ForeignArray,
     plane: Option<[usize; 2]>,
@@ -120,11 +120,11 @@ fn image_of(
         image.into_dimensionality().map_err(|e| Error::parse(&path, 0, e.to_string()))?;
     let image = if x < y { image.reversed_axes() } else { image };
     let whole = others.is_none() && image.is_standard_layout();
-    // A large image is not copied; one of many frames does not keep the others.
+    // A large image is not copied; one of many frames is copied so that the others are freed.
     Ok(if whole { image } else { image.as_standard_layout().to_owned() })
 }
 
-/// An axis of an array of another program.
+/// Converts an axis of an array of another program.
 fn named(axis: &ArrayAxis) -> NamedAxis {
     NamedAxis {
         name: axis.label.clone(),

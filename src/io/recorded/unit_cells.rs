@@ -1,4 +1,4 @@
-//! HDF5 files of images with a list of their unit cells, as of the atomically resolved Sm-doped BiFeO3 images
+//! Reads HDF5 files of images with a list of their unit cells, such as the atomically resolved Sm-doped BiFeO3 images
 //! (doi:10.5281/zenodo.4555979): `main image`, `xy_COM`, `Pxy`, `I1` to `I5` and `Scale`.
 
 use ndarray::{Array2, ArrayD};
@@ -7,33 +7,33 @@ use super::hdf5_source::Hdf5Source;
 use super::{ImageChoice, RecordedFormat, RecordedImage, StatedPixel};
 use crate::error::Result;
 
-/// Lists of intensities that a file may have.
+/// Names of lists of intensities.
 const INTENSITIES: [&str; 5] = ["i1", "i2", "i3", "i4", "i5"];
 
 /// Unit cells of an image.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct RecordedCells {
-    /// (x, y) in pixels from the centre of pixel (0, 0): x with the column, y with the row.
+    /// Positions (x, y) in pixels from the centre of pixel (0, 0): x with the column, y with the row.
     pub positions_px: Vec<[f64; 2]>,
-    /// (x, y) of the polarisation of each cell, in the file's units; empty where it has none.
+    /// Polarisation (x, y) of each cell, in the file's units; empty if the file has none.
     pub polarisations: Vec<[f64; 2]>,
     /// Intensities of the atomic columns of each cell, with their names in the file.
     pub intensities: Vec<(String, Vec<f64>)>,
 }
 
-/// A name without what programs change in it.
+/// Returns a name in lower case without blanks and punctuation, which programs change.
 fn plain(name: &str) -> String {
     name.chars().filter(|c| c.is_alphanumeric()).collect::<String>().to_lowercase()
 }
 
-/// The path of a data set of the file's first group, whatever its case and blanks.
+/// Returns the path of a data set in the file's first group, in any case and with any blanks.
 fn find<'a>(source: &'a Hdf5Source, wanted: &str) -> Option<&'a str> {
     let at_top = |name: &&String| !name[1..].contains('/') && plain(name) == plain(wanted);
     source.names.iter().find(at_top).map(String::as_str)
 }
 
-/// Whether a file has this layout, and no other image of it is chosen.
+/// Whether a file has this layout, and no other image in it is chosen.
 pub(super) fn is_one(source: &Hdf5Source, choice: &ImageChoice) -> bool {
     let main = choice.dataset.as_deref().is_none_or(|name| plain(name) == plain("main image"));
     main && ["main image", "xy_COM"].iter().all(|name| find(source, name).is_some())
@@ -75,7 +75,7 @@ pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<Recorded
     })
 }
 
-/// nm in a pixel.
+/// Returns the number of nm in a pixel.
 fn scale(source: &Hdf5Source) -> StatedPixel {
     let name = find(source, "Scale").ok_or("it holds no `Scale`")?;
     let values = source.all::<f64>(name).map_err(|e| e.to_string())?;
@@ -87,7 +87,7 @@ fn scale(source: &Hdf5Source) -> StatedPixel {
     }
 }
 
-/// A list of pairs: (N, 2), or (2, N) as programs write it that keep columns together.
+/// Reads a list of pairs: (N, 2), or (2, N) as column-major programs write it.
 fn pairs(source: &Hdf5Source, name: &str) -> Result<Vec<[f64; 2]>> {
     let values: ArrayD<f64> = source.all(name)?;
     let shape = values.shape().to_owned();

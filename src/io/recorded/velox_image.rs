@@ -1,4 +1,4 @@
-//! EMD files of Velox: images at `/Data/Image/ID/Data`, [row, column, frame], with JSON in `Metadata` beside them.
+//! Reads EMD files of Velox: images at `/Data/Image/ID/Data`, [row, column, frame], with JSON in `Metadata` beside them.
 
 use serde_json::Value;
 
@@ -11,7 +11,7 @@ use crate::io::length_units::square_nm;
 const IMAGES: &str = "/Data/Image/";
 /// The axis of the frames.
 const FRAMES: usize = 2;
-/// Letters of an identifier that tell images of one title apart.
+/// Number of letters of an identifier that distinguish images with the same title.
 const SHORT_ID: usize = 8;
 
 /// Whether a file has the layout of Velox.
@@ -19,7 +19,7 @@ pub(super) fn is_one(source: &Hdf5Source) -> bool {
     !identifiers(source).is_empty()
 }
 
-/// Identifiers of the images.
+/// Returns the identifiers of the images.
 fn identifiers(source: &Hdf5Source) -> Vec<&str> {
     let of = |name: &'_ String| -> Option<(usize, usize)> {
         let id = name.strip_prefix(IMAGES)?.strip_suffix("/Data")?;
@@ -36,7 +36,7 @@ pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<Recorded
     let by_path =
         |wanted: &str| all.iter().position(|id| wanted.split('/').any(|part| part == *id));
     let asked = choice.dataset.as_deref().and_then(by_path);
-    // Fourier transforms are complex; one that is asked for, and an only one, has a reason of its own.
+    // Fourier transforms are complex and not offered. One that is named, or the only one, is read: the error then gives the reason.
     let real = |id: &&str| source.is_real(&format!("{IMAGES}{id}/Data"));
     let ids: Vec<&str> = match (asked, all.len()) {
         (Some(_), _) | (None, 1) => all,
@@ -76,7 +76,7 @@ pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<Recorded
     })
 }
 
-/// Stands for a detector that the file does not name.
+/// Name for a detector that the file does not name.
 const NAMELESS: &str = "image";
 
 fn detector(metadata: &Value) -> &str {
@@ -95,7 +95,7 @@ fn pixel_nm(metadata: &Value) -> StatedPixel {
     square_nm([(number(&size["width"]), &x), (number(&size["height"]), &y)])
 }
 
-/// What the file says of a frame; nothing where that is no JSON.
+/// Returns the metadata of a frame; null if they are no JSON.
 fn metadata(source: &Hdf5Source, id: &str, frame: usize) -> Value {
     let name = format!("{IMAGES}{id}/Metadata");
     let read = || -> Option<Value> {

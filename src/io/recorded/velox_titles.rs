@@ -1,8 +1,8 @@
-//! Titles of the images of a Velox file, as its user saw them: nine images of one segmented detector have nine of them.
+//! Reads the titles of the images of a Velox file, as its user saw them: the nine images of a segmented detector have different titles.
 //!
-//! Displays are data sets of one text in JSON: below `/Presentation/Displays/ImageDisplay` with the image in `dataPath` and the
-//! title in `display/label`; from format 11 below `/Displays/ImageDisplay`, with the title in `title` or `id` and, in `data`, the
-//! path of another such text that has the `dataPath`.
+//! Displays are data sets of one text in JSON: below `/Presentation/Displays/ImageDisplay` with the image in `dataPath` and the title in
+//! `display/label`; from format 11 below `/Displays/ImageDisplay`, with the title in `title` or `id` and, in `data`, the path of another
+//! text in JSON with the `dataPath`.
 
 use std::collections::BTreeMap;
 
@@ -12,14 +12,14 @@ use serde_json::Value;
 
 use super::hdf5_source::Hdf5Source;
 
-/// Where the displays are.
+/// Paths of the displays.
 const DISPLAYS: [&str; 2] = ["/Presentation/Displays/ImageDisplay/", "/Displays/ImageDisplay/"];
-/// Displays that are looked at.
+/// Largest number of displays that are read.
 const MOST_DISPLAYS: usize = 4096;
-/// Letters that a title may have.
+/// Largest number of letters in a title.
 const LONGEST_TITLE: usize = 200;
 
-/// The titles of the images, by their identifiers. Of several displays of one image the first counts.
+/// Returns the titles of the images, by their identifiers. If an image has several displays, the first counts.
 pub(super) fn read(source: &Hdf5Source) -> BTreeMap<String, String> {
     let is_display = |name: &&String| DISPLAYS.iter().any(|group| name.starts_with(group));
     let mut titles = BTreeMap::new();
@@ -33,7 +33,7 @@ pub(super) fn read(source: &Hdf5Source) -> BTreeMap<String, String> {
     titles
 }
 
-/// Identifier and title of the image of a display.
+/// Returns identifier and title of the image of a display.
 fn titled(source: &Hdf5Source, display: &Value) -> Option<(String, String)> {
     let of = |reference: &str| json(source, reference)?["dataPath"].as_str().map(str::to_owned);
     let path = match display["dataPath"].as_str() {
@@ -47,7 +47,7 @@ fn titled(source: &Hdf5Source, display: &Value) -> Option<(String, String)> {
     Some((id, title.chars().take(LONGEST_TITLE).collect()))
 }
 
-/// A data set of one text, which is JSON.
+/// Reads a data set of one text in JSON.
 fn json(source: &Hdf5Source, name: &str) -> Option<Value> {
     fn of<T: H5Type>(dataset: &hdf5::Dataset, bytes: impl Fn(&T) -> &[u8]) -> Option<Value> {
         let texts: Vec<T> = dataset.read_raw().ok()?;

@@ -1,7 +1,7 @@
-//! The periodic block of amorphous carbon that comes with the program.
+//! The periodic block of amorphous carbon that is installed with the program.
 //!
-//! `structures/amorphous_carbon.rs` made it ([`super::melt`]). Positions are stored as sixteen-bit fractions of the
-//! edge, little-endian, three an atom: steps of 0.001 A.
+//! It was made by `structures/amorphous_carbon.rs` ([`super::melt`]). Positions are stored as sixteen-bit fractions of the edge,
+//! little-endian, three for each atom: steps of 0.001 A.
 
 use std::sync::LazyLock;
 
@@ -13,16 +13,16 @@ pub const EDGE_ANGSTROM: f64 = 70.0;
 /// Density in g/cm3.
 pub const DENSITY: f64 = 2.0;
 
-/// Atoms nearer than this are bonded, in Angstrom: in the gap between the first and the second peak of g(r).
+/// Atoms nearer than this are bonded, in Angstrom: a distance in the gap between the first and the second peak of g(r).
 pub const BOND: f64 = 1.85;
 
-/// Atoms of a film of so many nm of it.
+/// Returns the number of atoms per square nm of a film of this thickness.
 pub fn atoms_per_nm2(thickness_nm: f64) -> f64 {
     1e3 * DENSITY * ATOMS_PER_CUBIC_ANGSTROM * thickness_nm
 }
 
 const STEPS: f64 = 65_536.0;
-/// How often atoms with fewer than two bonds are taken off a cut.
+/// Number of passes in which atoms with fewer than two bonds are removed from a cut.
 const TRIMS: usize = 4;
 
 static BLOCK: LazyLock<(Network, Neighbours)> = LazyLock::new(|| {
@@ -31,18 +31,18 @@ static BLOCK: LazyLock<(Network, Neighbours)> = LazyLock::new(|| {
     (network, bonds)
 });
 
-/// The block.
+/// Returns the block.
 pub fn network() -> &'static Network {
     &BLOCK.0
 }
 
-/// The bytes of a network in a cube of [`EDGE_ANGSTROM`].
+/// Encodes a network in a cube of [`EDGE_ANGSTROM`] as bytes.
 pub fn encode(network: &Network) -> Vec<u8> {
     let step = |v: f64| ((v / EDGE_ANGSTROM * STEPS).round() as u32 % 65_536) as u16;
     network.positions.iter().flatten().flat_map(|&v| step(v).to_le_bytes()).collect()
 }
 
-/// The network that [`encode`] made bytes of.
+/// Decodes the bytes that [`encode`] made.
 pub fn decode(bytes: &[u8]) -> Network {
     let value = |b: &[u8]| f64::from(u16::from_le_bytes([b[0], b[1]])) * (EDGE_ANGSTROM / STEPS);
     let atom = |b: &[u8]| [value(&b[0..2]), value(&b[2..4]), value(&b[4..6])];
@@ -50,10 +50,10 @@ pub fn decode(bytes: &[u8]) -> Network {
     Network { positions, period: [EDGE_ANGSTROM; 3] }
 }
 
-/// A slab cut from the block.
+/// Cuts a slab from the block.
 ///
-/// Its atoms lie between `bottom` and `bottom + thickness`, with z counted from `bottom`; where the cut leaves an atom with
-/// fewer than two bonds, it is left out.
+/// Its atoms lie between `bottom` and `bottom + thickness`, with z counted from `bottom`. Atoms that the cut leaves with fewer than two
+/// bonds are left out.
 pub fn slab(bottom: f64, thickness: f64) -> Vec<[f64; 3]> {
     let (network, bonds) = &*BLOCK;
     let wrap = |v: f64| v - EDGE_ANGSTROM * (v / EDGE_ANGSTROM).floor();

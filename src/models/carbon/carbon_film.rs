@@ -1,12 +1,12 @@
 //! A film of amorphous carbon of any extent, made area by area.
 //!
-//! The plane is divided into square cells. Each is cut from the periodic block ([`super::block`]) with an offset,
-//! a rotation by any angle and reflections of its own, so no two cells are shifted copies of each other. Along the edges,
-//! where two cuts meet, atoms are relaxed in Tersoff's potential: first the seams between two cells, each on its own, then the
-//! nodes between four. A piece depends on its few neighbours only, so the film is the same whichever area is asked for first.
+//! The plane is divided into square cells. Each is cut from the periodic block ([`super::block`]) with a different offset, rotation by any
+//! angle and reflection, so no two cells are shifted copies of each other. Along the edges, where two cuts meet, atoms are relaxed in
+//! Tersoff's potential: first the seams between two cells, independently of each other, then the nodes between four. A piece depends on its
+//! few neighbours only, so the film does not depend on the order of requests.
 //!
-//! Atoms keep off the plane of a cut: some 1 A of it holds fewer of them, and more stand to both sides. Cuts are therefore folded
-//! along the beam ([`unfolded`]), or images would show their lines (5 % too bright beside them, 7 % too dark on them).
+//! Atoms avoid the plane of a cut: about 1 A at the plane holds fewer atoms, and more lie on both sides. Cuts are therefore folded along
+//! the beam ([`unfolded`]); otherwise images would show their lines (5 % too bright beside them, 7 % too dark on them).
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock};
@@ -22,26 +22,26 @@ use crate::rng::{Purpose, words};
 
 /// Edge of a cell in Angstrom: its diagonal hardly exceeds the edge of the block.
 pub const CELL: f64 = 65.0;
-/// Atoms this near to an edge of a cell are relaxed, in Angstrom.
+/// Atoms nearer than this to an edge of a cell are relaxed, in Angstrom.
 const SEAM: f64 = 2.5;
 /// Seams end this far from a corner, in Angstrom, so that no two of them touch.
 const NODE: f64 = 4.5;
-/// Atoms farther from where they were than this have been thrown out of the network and are left out, in Angstrom.
+/// Atoms that move farther than this during relaxation have left the network and are removed, in Angstrom.
 const FARTHEST: f64 = 3.0;
-/// No two atoms are nearer than this, in Angstrom.
+/// Least distance of two atoms, in Angstrom.
 pub const LEAST_DISTANCE: f64 = 1.3;
-/// Cells reach this far beyond their edges, in Angstrom: as many atoms more as seams and faces lose, so that the
-/// density is that of the block.
+/// Cells extend this far beyond their edges, in Angstrom. This adds as many atoms as seams and faces lose, so that the density equals the
+/// density of the block.
 const OVERLAP: f64 = 0.1;
-/// Steps of relaxation; three times as many change no statistic of the seams by more than 2 %.
+/// Number of steps of relaxation; three times as many change no statistic of the seams by more than 2 %.
 const STEPS: usize = 60;
-/// Cuts go so far to either side from the top of a fold to the bottom, in Angstrom.
+/// Deviation of the folded cuts to either side, in Angstrom.
 const FOLD: f64 = 5.0;
-/// Height from one top of a fold to the next, in Angstrom.
+/// Period of the folds along the beam, in Angstrom.
 const FOLD_PERIOD: f64 = 50.0;
-/// Atoms stand apart by less than this times as much in [`unfolded`] coordinates, sqrt(1 + 2 slope^2).
+/// Largest factor by which [`unfolded`] coordinates increase distances between atoms, sqrt(1 + 2 slope^2).
 const STRETCH: f64 = 1.15;
-/// Pieces kept in memory; about 100 MB.
+/// Number of pieces kept in memory; about 100 MB.
 const KEPT: usize = 1024;
 
 /// A part of the film that is made at once.
@@ -58,19 +58,19 @@ enum Zone {
 }
 
 type Piece = (Zone, i64, i64);
-/// The atoms of a piece, once it is made.
+/// The atoms of a piece, once they are made.
 type PieceAtoms = Arc<OnceLock<Vec<Vec3>>>;
 
 /// An atom of the film.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FilmAtom {
-    /// Unique in the film; below 2^56.
+    /// Number that is unique in the film; below 2^56.
     pub key: u64,
     /// Position in Angstrom; z from 0 at one face to the thickness at the other.
     pub position: Vec3,
 }
 
-/// See the module.
+/// A film of amorphous carbon of any extent.
 pub struct Film {
     seed: u64,
     thickness: f64,
@@ -86,16 +86,16 @@ struct Kept {
 /// A rectangle `[[x0, x1], [y0, y1]]` in Angstrom.
 pub type Rectangle = [[f64; 2]; 2];
 
-/// x and y in coordinates in which the folded cuts run along the beam: shifted with the height, to and fro.
+/// Converts x and y to coordinates in which the folded cuts run along the beam: shifted to and fro with the height.
 pub fn unfolded(p: &Vec3) -> [f64; 2] {
     [0, 1].map(|k| {
-        // The folds along y are a quarter of a period ahead.
+        // The folds along y are a quarter of a period ahead of the folds along x.
         let turn = p[2] / FOLD_PERIOD + [0.0, 0.25][k];
         p[k] + FOLD * (4.0 * (turn - turn.floor() - 0.5).abs() - 1.0)
     })
 }
 
-/// How far an atom was cut from a rectangle of [`unfolded`] coordinates.
+/// Returns the distance of an atom from a rectangle of [`unfolded`] coordinates.
 fn distance(rectangle: &Rectangle, p: &Vec3) -> f64 {
     let at = unfolded(p);
     let [dx, dy] = [0, 1].map(|k| {
@@ -105,7 +105,7 @@ fn distance(rectangle: &Rectangle, p: &Vec3) -> f64 {
     (dx * dx + dy * dy).sqrt()
 }
 
-/// The piece to which an atom cut at a place belongs.
+/// Returns the piece that an atom at a place of the cut belongs to.
 fn owner(p: &Vec3) -> Piece {
     let p = unfolded(p);
     let nearest = p.map(|v| (v / CELL).round());
@@ -123,7 +123,7 @@ fn owner(p: &Vec3) -> Piece {
     }
 }
 
-/// Where the atoms of a piece were cut, in [`unfolded`] coordinates.
+/// Returns the area of a piece in [`unfolded`] coordinates.
 fn rectangle((zone, i, j): Piece) -> Rectangle {
     let (x, y) = (i as f64 * CELL, j as f64 * CELL);
     let along = |v: f64| [v + NODE, v + CELL - NODE];
@@ -137,13 +137,13 @@ fn rectangle((zone, i, j): Piece) -> Rectangle {
 }
 
 impl Film {
-    /// A film of `thickness` Angstrom, at most [`EDGE_ANGSTROM`].
+    /// Makes a film of `thickness` Angstrom, at most [`EDGE_ANGSTROM`].
     pub fn new(seed: u64, thickness: f64) -> Self {
         let thickness = thickness.min(EDGE_ANGSTROM);
         Film { seed, thickness, pieces: Mutex::default() }
     }
 
-    /// The atoms in a rectangle (its lower edges included, the upper not).
+    /// Returns the atoms in a rectangle (lower edges included, upper edges excluded).
     pub fn atoms(&self, area: &Rectangle) -> Vec<FilmAtom> {
         let pieces = pieces_near(area);
         let inside = |p: &Vec3| (0..2).all(|k| area[k][0] <= p[k] && p[k] < area[k][1]);
@@ -157,10 +157,10 @@ impl Film {
         pieces.par_iter().map(of_piece).collect::<Vec<_>>().concat()
     }
 
-    /// A piece, made if it is not there.
+    /// Returns a piece, and makes it if it does not exist.
     fn piece(&self, piece: Piece) -> PieceAtoms {
         let cell = {
-            // A panic elsewhere leaves the table whole: entries are inserted and removed at once.
+            // A panic of another thread leaves the table complete: entries are inserted and removed in one step.
             let mut kept = self.pieces.lock().unwrap_or_else(|e| e.into_inner());
             kept.take(piece)
         };
@@ -203,7 +203,7 @@ impl Film {
         atoms
     }
 
-    /// Relaxes the atoms of a seam or a node between those around it.
+    /// Relaxes the atoms of a seam or a node among the atoms around it.
     fn join(&self, piece: Piece) -> Vec<Vec3> {
         const DRIFT: f64 = 0.6;
         let area = rectangle(piece);
@@ -214,7 +214,7 @@ impl Film {
             for p in atoms.get().into_iter().flatten() {
                 let from = if other.0 == Zone::Cell { owner(p) } else { other };
                 let far = distance(&area, p);
-                // A node finds its seams as they are after relaxation, not as they were cut.
+                // A node is joined to its seams after their relaxation, not as they were cut.
                 let replaced =
                     piece.0 == Zone::Node && other.0 == Zone::Cell && from.0 != Zone::Cell;
                 if from == piece {
@@ -233,7 +233,7 @@ impl Film {
         self.cleared(&mobile, roles, network)
     }
 
-    /// What is left of the mobile atoms without those that were thrown out or are too near to others.
+    /// Returns the mobile atoms without atoms that left the network or are too near to others.
     fn cleared(&self, before: &[Vec3], roles: Roles, network: Network) -> Vec<Vec3> {
         let near = Neighbours::new(&network, LEAST_DISTANCE);
         let mut kept = vec![true; network.positions.len()];
@@ -249,7 +249,7 @@ impl Film {
     }
 }
 
-/// The pieces from which a seam or node is made: cells for the atoms cut, then seams.
+/// Returns the pieces from which a seam or node is made: cells for the atoms cut, then seams.
 fn around((zone, i, j): Piece) -> Vec<Piece> {
     use Zone::{Cell, Node, SeamX, SeamY};
     match zone {
@@ -269,7 +269,7 @@ fn around((zone, i, j): Piece) -> Vec<Piece> {
     }
 }
 
-/// All pieces that can have atoms in an area.
+/// Returns all pieces that can have atoms in an area.
 fn pieces_near(area: &Rectangle) -> Vec<Piece> {
     let range = |k: usize| {
         let [low, high] = area[k];
@@ -298,7 +298,7 @@ fn key((zone, i, j): Piece, n: usize) -> u64 {
 }
 
 impl Kept {
-    /// The entry of a piece, most recently used now.
+    /// Returns the entry of a piece, and marks it as the most recently used.
     fn take(&mut self, piece: Piece) -> PieceAtoms {
         self.clock += 1;
         let clock = self.clock;

@@ -1,4 +1,4 @@
-//! Relaxation of atoms to the nearest minimum of energy (FIRE), and molecular dynamics at a temperature.
+//! Relaxes atoms to the nearest minimum of energy (FIRE), and moves them by molecular dynamics at a temperature.
 
 use rayon::prelude::*;
 
@@ -10,31 +10,31 @@ use crate::structure::lattice::{dot, norm};
 
 /// Reach of the neighbour lists beyond the cutoff, in Angstrom.
 const SKIN: f64 = 0.8;
-/// eV/(A u) in A/fs^2.
+/// 1 eV/(A u) in A/fs^2.
 const ACCELERATION: f64 = 9.648_533e-3;
 /// Mass of carbon in u.
 const MASS_U: f64 = 12.011;
 /// Boltzmann's constant in eV/K.
 const BOLTZMANN: f64 = 8.617_333e-5;
-/// Parts whose forces are summed apart; fixed, so that the sum does not depend on the threads.
+/// Number of parts whose forces are summed separately; it is fixed, so that the sum does not depend on the threads.
 const PARTS: usize = 4;
 
-/// Which atoms of a network move: the first `mobile` ones. The half bonds of the first `active` ones
-/// count; the rest is there for the bond orders of these.
+/// Roles of the atoms of a network: the first `mobile` ones move, and the half bonds of the first `active` ones count; the other atoms only
+/// affect the bond orders of these.
 #[derive(Debug, Clone, Copy)]
 pub struct Roles {
     /// Number of atoms that move.
     pub mobile: usize,
-    /// Number of atoms, the mobile included, whose bonds depend on where the mobile ones are.
+    /// Number of atoms, the mobile ones included, whose bonds depend on the positions of the mobile ones.
     pub active: usize,
 }
 
-/// A network on the move.
+/// A network during relaxation or dynamics.
 struct Mover<'a> {
     network: &'a mut Network,
     roles: Roles,
     near: Neighbours,
-    /// Positions for which `near` was made.
+    /// Positions for which the lists in `near` were made.
     listed: Vec<Vec3>,
     forces: Vec<Vec3>,
     buffers: Vec<Vec<Vec3>>,
@@ -83,8 +83,7 @@ impl<'a> Mover<'a> {
     }
 }
 
-/// Moves atoms downhill by at most `steps` steps, until no force exceeds `tolerance` eV/A. Returns the greatest
-/// force left.
+/// Moves atoms downhill by at most `steps` steps, until no force exceeds `tolerance` eV/A. Returns the greatest remaining force.
 ///
 /// FIRE: E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006).
 pub fn relax(network: &mut Network, roles: Roles, steps: usize, tolerance: f64) -> f64 {
@@ -125,8 +124,8 @@ pub fn relax(network: &mut Network, roles: Roles, steps: usize, tolerance: f64) 
     greatest
 }
 
-/// Molecular dynamics under a thermostat that follows `temperature(step)` in K;
-/// time step `femtoseconds`. Velocities start from random numbers of `seed` and pass into the next call by `velocities`.
+/// Runs molecular dynamics under a thermostat that follows `temperature(step)` in K, with the time step `femtoseconds`. Velocities start
+/// from random numbers of `seed`; `velocities` passes them to the next call.
 pub fn heat(
     network: &mut Network,
     roles: Roles,
@@ -138,7 +137,7 @@ pub fn heat(
 ) {
     /// Time constant of the thermostat in steps.
     const THERMOSTAT: f64 = 40.0;
-    /// No atom moves farther in one step, in Angstrom.
+    /// Largest distance that an atom moves in one step, in Angstrom.
     const LONGEST_STEP: f64 = 0.1;
     let count = roles.mobile;
     if velocities.is_empty() {

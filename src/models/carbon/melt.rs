@@ -1,4 +1,4 @@
-//! A network from the melt: random atoms, heated, quenched and relaxed.
+//! Makes a network from the melt: random atoms, heated, quenched and relaxed.
 //!
 //! Quenching liquid carbon at fixed density is the usual way to a model of amorphous carbon: G. Galli et al., Phys.
 //! Rev. Lett. 62, 555 (1989); with Tersoff's potential J. Tersoff, Phys. Rev. Lett. 61, 2879 (1988).
@@ -19,7 +19,7 @@ const STEP_FS: f64 = 0.7;
 /// A network that is being made.
 #[derive(Debug, Clone)]
 pub struct Melt {
-    /// Where the atoms are.
+    /// Present positions of the atoms.
     pub network: Network,
     velocities: Vec<Vec3>,
     seed: u64,
@@ -27,7 +27,7 @@ pub struct Melt {
 }
 
 impl Melt {
-    /// Random atoms at a density in g/cm3, in a periodic cube of `edge` Angstrom, pushed apart.
+    /// Places random atoms at a density in g/cm3 in a periodic cube of `edge` Angstrom, and pushes them apart.
     pub fn new(seed: u64, edge: f64, density: f64) -> Self {
         let count = (density * ATOMS_PER_CUBIC_ANGSTROM * edge.powi(3)).round() as u64;
         let position = |i| {
@@ -41,7 +41,7 @@ impl Melt {
         Melt { network, velocities: Vec::new(), seed, done: 0 }
     }
 
-    /// Goes on to step `until` of `steps`: a quarter of them melting, half cooling exponentially, a quarter annealing.
+    /// Continues to step `until` of `steps`: a quarter of the steps melts, half cools exponentially, a quarter anneals.
     pub fn run(&mut self, until: usize, steps: usize) {
         let temperature = |n: usize| {
             let cooled = ((4 * n) as f64 / steps as f64 - 1.0).clamp(0.0, 2.0) / 2.0;
@@ -54,7 +54,7 @@ impl Melt {
         self.done = until;
     }
 
-    /// The relaxed network.
+    /// Returns the relaxed network.
     pub fn finish(mut self) -> Network {
         let count = self.network.positions.len();
         relax(&mut self.network, Roles { mobile: count, active: count }, 1000, 0.01);

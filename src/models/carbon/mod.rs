@@ -1,7 +1,7 @@
 //! Amorphous carbon as a random network of 2.0 g/cm3.
 //!
-//! [`block`] is a periodic cube quenched from the melt ([`melt`]) in Tersoff's potential; it comes with the program.
-//! [`carbon_film`] makes a film of any extent of it. [`dynamics`] moves the atoms of a [`network`].
+//! [`block`] is a periodic cube quenched from the melt ([`melt`]) in Tersoff's potential; it is installed with the program. [`carbon_film`]
+//! makes a film of any extent from it. [`dynamics`] moves the atoms of a [`network`].
 
 use crate::structure::lattice::Vec3;
 

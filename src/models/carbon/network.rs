@@ -12,12 +12,12 @@ pub const CARBON: u8 = 6;
 pub struct Network {
     /// Positions in Angstrom.
     pub positions: Vec<Vec3>,
-    /// Period along each axis in Angstrom; infinite where there is none.
+    /// Period along each axis in Angstrom; infinite along an axis without a period.
     pub period: Vec3,
 }
 
 impl Network {
-    /// From atom `i` to the nearest image of `j`. Neither may be farther than a period outside the box.
+    /// Returns the vector from atom `i` to the nearest image of `j`. Neither may be farther than a period outside the box.
     pub fn vector(&self, i: usize, j: usize) -> Vec3 {
         let (from, to) = (self.positions[i], self.positions[j]);
         std::array::from_fn(|k| {
@@ -43,7 +43,7 @@ impl Network {
         }
     }
 
-    /// The atoms as a structure; without periods, in a cell with vacuum of `margin` Angstrom.
+    /// Returns the atoms as a structure; without periods, in a cell with vacuum of `margin` Angstrom.
     fn structure(&self, margin: f64) -> Structure {
         let mut cell = [[0.0; 3]; 3];
         for k in 0..3 {
@@ -59,7 +59,7 @@ impl Network {
     }
 }
 
-/// Lists of neighbours, each pair in both.
+/// Lists of neighbours; each pair is in both lists.
 #[derive(Debug, Clone)]
 pub struct Neighbours {
     starts: Vec<u32>,
@@ -67,7 +67,7 @@ pub struct Neighbours {
 }
 
 impl Neighbours {
-    /// Pairs up to `reach` Angstrom apart.
+    /// Finds the pairs up to `reach` Angstrom apart.
     pub fn new(network: &Network, reach: f64) -> Self {
         let count = network.positions.len();
         let mut pairs: Vec<[u32; 2]> = Vec::with_capacity(4 * count);
@@ -95,7 +95,7 @@ impl Neighbours {
         Neighbours { starts, list }
     }
 
-    /// Neighbours of atom `i`.
+    /// Returns the neighbours of atom `i`.
     pub fn of(&self, i: usize) -> &[u32] {
         &self.list[self.starts[i] as usize..self.starts[i + 1] as usize]
     }

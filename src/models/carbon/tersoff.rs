@@ -8,8 +8,7 @@ use super::Vec3;
 use super::network::{Neighbours, Network};
 use crate::structure::lattice::dot;
 
-/// All lengths of the potential are multiplied by this, so that the bonds of graphite have 1.42 A and not
-/// 1.46; the energies stay the same.
+/// Factor of all lengths of the potential, so that the bonds of graphite have 1.42 A and not 1.46; the energies do not change.
 pub const LENGTH_SCALE: f64 = 1.42 / 1.46;
 
 const A_EV: f64 = 1393.6;
@@ -21,19 +20,19 @@ const N: f64 = 0.72751;
 const C2: f64 = 38049.0 * 38049.0;
 const D2: f64 = 4.3484 * 4.3484;
 const H: f64 = -0.57058;
-/// Where the cutoff begins and ends, in Angstrom.
+/// Start of the cutoff, in Angstrom.
 const R: f64 = 1.8 * LENGTH_SCALE;
 /// Atoms farther apart than this do not interact, in Angstrom.
 pub const CUTOFF: f64 = 2.1 * LENGTH_SCALE;
 
-/// Neighbours of one atom that are taken into account; at 2.1 A there is no room for so many.
+/// Largest number of neighbours of one atom; at 2.1 A there is no room for so many.
 const MOST: usize = 24;
 
 /// A neighbour within the cutoff.
 #[derive(Clone, Copy, Default)]
 struct Bond {
     to: usize,
-    /// Unit vector towards it.
+    /// Unit vector towards the neighbour.
     u: Vec3,
     r: f64,
     inverse: f64,
@@ -41,7 +40,7 @@ struct Bond {
     cut_slope: f64,
 }
 
-/// Cutoff function and its derivative.
+/// Returns the cutoff function and its derivative.
 fn cutoff(r: f64) -> [f64; 2] {
     if r < R {
         return [1.0, 0.0];
@@ -51,14 +50,14 @@ fn cutoff(r: f64) -> [f64; 2] {
     [0.5 + 0.5 * libm::cos(phase), -0.5 * scale * libm::sin(phase)]
 }
 
-/// Angular function g and its derivative.
+/// Returns the angular function g and its derivative.
 fn angular(cosine: f64) -> [f64; 2] {
     let h = H - cosine;
     let denominator = 1.0 / (D2 + h * h);
     [1.0 + C2 / D2 - C2 * denominator, -2.0 * C2 * h * denominator * denominator]
 }
 
-/// Bond order and its derivative by zeta.
+/// Returns the bond order and its derivative by zeta.
 fn order(zeta: f64) -> [f64; 2] {
     if zeta < 1e-12 {
         return [1.0, 0.0];
@@ -68,8 +67,8 @@ fn order(zeta: f64) -> [f64; 2] {
     [b, -0.5 * b * t / (zeta * (1.0 + t))]
 }
 
-/// Adds to `forces` those of the half bonds that start at atom `i`, in eV/A, and returns their
-/// energy in eV. The energy of a network is the sum over all atoms.
+/// Adds the forces of the half bonds that start at atom `i` to `forces`, in eV/A, and returns their energy in eV. The energy of a network
+/// is the sum over all atoms.
 pub fn half_bonds(network: &Network, near: &Neighbours, i: usize, forces: &mut [Vec3]) -> f64 {
     let mut bonds = [Bond::default(); MOST];
     let mut count = 0;

@@ -2,18 +2,18 @@
 
 use super::{Candidate, Cluster, Metal, Morphology, Vec3};
 
-/// Five crystals about a common axis. Seen along it, each fills a wedge with rows of atoms (i, j), i steps along one side of it
-/// and j along the other; the row has `axis - i - j` atoms, so that {111} facets cap it.
+/// Five crystals about a common axis. In projection along it, each fills a wedge with rows of atoms (i, j), i steps along one side of the
+/// wedge and j along the other; a row has `axis - i - j` atoms, so that {111} facets cap it.
 ///
 /// L. D. Marks, J. Cryst. Growth 61, 556 (1983); the crystals are strained evenly, as in C. Y. Yang, J. Cryst. Growth
 /// 47, 274 (1979).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Decahedron {
-    /// Atoms on the axis.
+    /// Number of atoms on the axis.
     pub axis: usize,
-    /// Greatest i + j: where the {100} facet stands.
+    /// Greatest i + j: the place of the {100} facet.
     pub depth: usize,
-    /// Greatest i and greatest j: less than `depth` where a notch is cut into the twin boundary.
+    /// Greatest i and greatest j: less than `depth` if a notch is cut into the twin boundary.
     pub arm: usize,
 }
 
@@ -23,7 +23,7 @@ const ALONG: f64 = 1.003_88;
 const ACROSS: f64 = 0.860_42;
 
 impl Decahedron {
-    /// Rows (i, j) of one crystal, without the twin plane j > 0, i = 0, which belongs to the next.
+    /// Returns the rows (i, j) of one crystal, without the twin plane j > 0, i = 0, which belongs to the next.
     fn rows(self) -> impl Iterator<Item = [usize; 2]> {
         let Decahedron { depth, arm, .. } = self;
         (1..=arm).flat_map(move |i| (0..=arm.min(depth - i)).map(move |j| [i, j]))
@@ -67,10 +67,10 @@ impl Candidate for Decahedron {
     }
 }
 
-/// Decahedra of about this diameter.
+/// Returns decahedra of about this diameter.
 pub(super) fn candidates(metal: &Metal, diameter_nm: f64) -> Vec<Decahedron> {
     let wanted = metal.count(diameter_nm);
-    // An axis longer than this would make needles, a depth greater than the axis has no atoms.
+    // An axis longer than this would make needles, and a depth greater than the axis has no atoms.
     let most = (20.0 * diameter_nm / metal.bond()) as usize + 3;
     let mut out = Vec::new();
     for axis in 2..=most {
@@ -90,7 +90,7 @@ pub(super) fn candidates(metal: &Metal, diameter_nm: f64) -> Vec<Decahedron> {
 mod tests {
     use super::*;
 
-    /// Springs along the six directions to neighbours: one along the axis, one across, four between.
+    /// Energy of springs along the six directions to neighbours: one along the axis, one across, four between.
     fn energy(along: f64, across: f64) -> f64 {
         let slant = (across * across + 0.25 * along * along).sqrt();
         let tangent = 2.0 * across * (std::f64::consts::PI / 5.0).sin();

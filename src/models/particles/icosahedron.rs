@@ -1,4 +1,4 @@
-//! Mackay's icosahedra, whole or with a part of the next shell.
+//! Mackay's icosahedra, with closed shells or with a part of the next shell.
 
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
@@ -6,24 +6,24 @@ use std::sync::LazyLock;
 use super::{Candidate, Cluster, Metal, Morphology, Vec3};
 use crate::structure::lattice::{dot, norm, subtract};
 
-/// Closed shells about an atom, and facets of one more.
+/// Closed shells about an atom, and facets of the next shell.
 ///
 /// A. L. Mackay, Acta Cryst. 15, 916 (1962). Shells grow facet by facet, as the mass spectra of clusters show: T. P. Martin,
 /// Phys. Rep. 273, 199 (1996).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Icosahedron {
-    /// Closed shells about the central atom.
+    /// Number of closed shells about the central atom.
     pub shells: usize,
-    /// Facets of the next shell, 0 to 19, beginning around one vertex.
+    /// Number of facets of the next shell, 0 to 19, beginning around one vertex.
     pub facets: usize,
 }
 
-/// Radial over tangential distance of neighbours: circumscribed radius over edge of an icosahedron, sin 72 degrees.
+/// Radial divided by tangential distance of neighbours: circumscribed radius divided by edge of an icosahedron, sin 72 degrees.
 const RATIO: f64 = 0.951_056_516_295_153_6;
-/// Tangential distance in units of the bulk bond: the least energy of springs between neighbours, half of them radial.
+/// Tangential distance in units of the bulk bond, at the least energy of springs between neighbours, half of which are radial.
 const TANGENTIAL: f64 = (1.0 + RATIO) / (1.0 + RATIO * RATIO);
 
-/// The vertices, at distance 1.
+/// Returns the vertices, at distance 1.
 fn vertices() -> [Vec3; 12] {
     let (height, width) = (1.0 / 5f64.sqrt(), 2.0 / 5f64.sqrt());
     std::array::from_fn(|n| match n {
@@ -39,7 +39,7 @@ fn vertices() -> [Vec3; 12] {
     })
 }
 
-/// Triples of neighbouring vertices, from the top down.
+/// Returns triples of neighbouring vertices, from the top down.
 fn faces(v: &[Vec3; 12]) -> Vec<[usize; 3]> {
     let near = |a: usize, b: usize| norm(subtract(v[a], v[b])) < 1.1;
     let mut faces = Vec::new();
@@ -53,12 +53,12 @@ fn faces(v: &[Vec3; 12]) -> Vec<[usize; 3]> {
         }
     }
     let height = |f: &[usize; 3]| f.iter().map(|&n| v[n][2]).sum::<f64>();
-    // Stable: facets of the same ring keep their order.
+    // The sort is stable: facets of one ring keep their order.
     faces.sort_by(|a, b| ((height(b) * 1e6).round()).total_cmp(&(height(a) * 1e6).round()));
     faces
 }
 
-/// Edges of so many facets, and vertices of which three facets or more are there.
+/// For each number of facets: the number of their edges, and of vertices that belong to at least three of them.
 static BORDERS: LazyLock<[[usize; 2]; 21]> = LazyLock::new(|| {
     let faces = faces(&vertices());
     std::array::from_fn(|facets| {
@@ -69,18 +69,18 @@ static BORDERS: LazyLock<[[usize; 2]; 21]> = LazyLock::new(|| {
     })
 });
 
-/// Five-fold, three-fold and two-fold axis.
+/// Returns a five-fold, a three-fold and a two-fold axis.
 pub(super) fn axes() -> [Vec3; 3] {
     let v = vertices();
     let sum = |of: &[usize]| [0, 1, 2].map(|k| of.iter().map(|&n| v[n][k]).sum::<f64>());
     [v[0], sum(&[0, 1, 2]), sum(&[0, 1])]
 }
 
-/// A lattice point of a shell: vertices and how many steps towards each; the numbers add to the shell's.
+/// A lattice point of a shell: vertices, and the number of steps towards each; the numbers add to the number of the shell.
 type ShellPlace = [(usize, usize); 3];
 
-/// The atoms of `shell` that belong to `facets` (by rank): the vertex only if three of its facets are there, for it would
-/// else hang on fewer than five neighbours.
+/// Returns the atoms of `shell` that belong to `facets` (by rank). A vertex is only included if three of its facets are, since it would
+/// otherwise have fewer than five neighbours.
 fn places(shell: usize, faces: &[[usize; 3]], facets: usize) -> Vec<ShellPlace> {
     let mut out: Vec<ShellPlace> = Vec::new();
     for face in &faces[..facets] {
@@ -88,7 +88,7 @@ fn places(shell: usize, faces: &[[usize; 3]], facets: usize) -> Vec<ShellPlace> 
             for j in 0..=shell - i {
                 let steps = [i, j, shell - i - j];
                 let mut place = [0, 1, 2].map(|k| (face[k], steps[k]));
-                // The same atom has the same name in all its facets.
+                // An atom must have one name in all its facets.
                 place.iter_mut().filter(|(_, n)| *n == 0).for_each(|p| p.0 = usize::MAX);
                 place.sort_unstable();
                 out.push(place);
@@ -112,7 +112,7 @@ impl Candidate for Icosahedron {
     fn count(&self) -> usize {
         let n = self.shells;
         let closed = (10 * n * n * n + 15 * n * n + 11 * n) / 3 + 1;
-        // Of the next shell: what lies within facets, on edges between vertices, and on vertices.
+        // Atoms of the next shell: inside facets, on edges between vertices, and on vertices.
         let [edges, vertices] = BORDERS[self.facets];
         closed + self.facets * (n * n.saturating_sub(1) / 2) + edges * n + vertices
     }
@@ -142,7 +142,7 @@ impl Candidate for Icosahedron {
     }
 }
 
-/// Icosahedra of about this diameter.
+/// Returns icosahedra of about this diameter.
 pub(super) fn candidates(metal: &Metal, diameter_nm: f64) -> Vec<Icosahedron> {
     let wanted = metal.count(diameter_nm);
     let mut out = Vec::new();

@@ -1,8 +1,7 @@
 //! Nanoparticles of face-centred cubic metals: Wulff polyhedra, icosahedra and decahedra.
 //!
-//! Of all clusters of a shape whose diameter is near enough to the one asked for, the one with the least
-//! surface energy is taken ([`build`]). The diameter of N atoms is that of the sphere which N atoms of
-//! the bulk metal would fill.
+//! Among all clusters of a shape whose diameter is near enough to the requested one, the cluster with the least surface energy is chosen
+//! ([`build`]). The diameter of N atoms is the diameter of a sphere of the bulk metal with N atoms.
 
 mod decahedron;
 mod icosahedron;
@@ -26,8 +25,8 @@ pub use wulff::Wulff;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Morphology {
-    /// Single crystal bounded by {111} and {100}: the truncated octahedron of Wulff's construction. Its frame
-    /// is that of the cubic cell.
+    /// Single crystal bounded by {111} and {100}: the truncated octahedron of Wulff's construction. Its frame is the frame of the cubic
+    /// cell.
     Wulff,
     /// Mackay's icosahedron: twenty strained tetrahedra. A five-fold axis lies along z, a vertex of the upper ring towards x.
     Icosahedral,
@@ -41,7 +40,7 @@ impl Morphology {
     pub const ALL: [Morphology; 3] =
         [Morphology::Wulff, Morphology::Icosahedral, Morphology::Decahedral];
 
-    /// The name that recipes and files use.
+    /// Returns the name that recipes and files use.
     pub fn name(self) -> &'static str {
         match self {
             Morphology::Wulff => "wulff",
@@ -50,10 +49,10 @@ impl Morphology {
         }
     }
 
-    /// Directions in the frame of the particle along which rows of atoms are seen end on.
+    /// Returns directions in the frame of the particle along which rows of atoms are seen end on.
     ///
-    /// Wulff: \[100\], \[110\], \[111\]. Icosahedron: five-fold, three-fold and two-fold axis. Decahedron: the five-fold axis, and
-    /// of the first crystal the \[001\] and \[110\] that are normal to it.
+    /// Wulff: \[100\], \[110\], \[111\]. Icosahedron: five-fold, three-fold and two-fold axis. Decahedron: the five-fold axis, and the
+    /// \[001\] and \[110\] of the first crystal that are normal to it.
     pub fn zone_axes(self) -> [Vec3; 3] {
         match self {
             Morphology::Wulff => [[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0]],
@@ -63,17 +62,17 @@ impl Morphology {
     }
 }
 
-/// The metal of which particles are made.
+/// The metal of the particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Metal {
     /// Edge of the cubic cell in Angstrom.
     pub a: f64,
-    /// Surface energy of {100} over that of {111}.
+    /// Surface energy of {100} divided by the surface energy of {111}.
     pub surface_energy_ratio: f64,
 }
 
 impl Metal {
-    /// The metal of a crystal, and its atomic number.
+    /// Reads the metal from a crystal; also returns its atomic number.
     ///
     /// # Errors
     /// [`Error::Invalid`] unless the cell is cubic with one element at the corner and the centres of its faces.
@@ -99,18 +98,18 @@ impl Metal {
         }
     }
 
-    /// Distance of nearest neighbours in the bulk, in Angstrom.
+    /// Returns the distance of nearest neighbours in the bulk, in Angstrom.
     pub fn bond(&self) -> f64 {
         self.a * std::f64::consts::FRAC_1_SQRT_2
     }
 
-    /// Diameter in nm of `count` atoms.
+    /// Returns the diameter in nm of `count` atoms.
     pub fn diameter_nm(&self, count: usize) -> f64 {
         let volume = count as f64 * self.a * self.a * self.a / 4.0;
         0.1 * libm::cbrt(6.0 * volume / std::f64::consts::PI)
     }
 
-    /// Number of atoms that fill a sphere of this diameter.
+    /// Returns the number of atoms that fill a sphere of this diameter.
     pub fn count(&self, diameter_nm: f64) -> f64 {
         let d = 10.0 * diameter_nm / self.a;
         4.0 * std::f64::consts::PI / 6.0 * d * d * d
@@ -126,12 +125,12 @@ fn not_a_metal<T>(found: &str) -> Result<T> {
 /// The atoms of a particle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cluster {
-    /// Positions in Angstrom about the mean of all, in the frame of the particle.
+    /// Positions in Angstrom relative to their mean, in the frame of the particle.
     pub positions: Vec<Vec3>,
 }
 
-/// Atoms nearer than this are neighbours, in units of the bulk bond: between the longest bond of an icosahedron (1.02)
-/// and the second neighbours (1.37 and more).
+/// Atoms nearer than this are neighbours, in units of the bulk bond: a distance between the longest bond of an icosahedron (1.02) and the
+/// second neighbours (1.37 and more).
 pub const NEIGHBOUR: f64 = 1.2;
 
 impl Cluster {
@@ -142,7 +141,7 @@ impl Cluster {
         Cluster { positions }
     }
 
-    /// Number of nearest neighbours of each atom.
+    /// Returns the number of nearest neighbours of each atom.
     pub fn coordination(&self, metal: &Metal) -> Vec<usize> {
         let reach = NEIGHBOUR * metal.bond();
         let size = self.radius() * 2.0 + 2.0 * reach;
@@ -157,15 +156,15 @@ impl Cluster {
         counts
     }
 
-    /// Greatest distance of an atom from the centre, in Angstrom.
+    /// Returns the greatest distance of an atom from the centre, in Angstrom.
     pub fn radius(&self) -> f64 {
         let square = |p: &Vec3| p.iter().map(|v| v * v).sum::<f64>();
         self.positions.iter().map(square).fold(0.0, f64::max).sqrt()
     }
 
-    /// Energy that broken bonds cost, over the area: the sum of `sqrt(12) - sqrt(coordination)` (the energy
-    /// of a bond falls as the root of the coordination number in the second-moment approximation of tight binding, F. Ducastelle,
-    /// J. Phys. (Paris) 31, 1055 (1970)) divided by `N^(2/3)`.
+    /// Returns the energy of the broken bonds per area: the sum of `sqrt(12) - sqrt(coordination)` (the energy of a bond falls as the root
+    /// of the coordination number in the second-moment approximation of tight binding, F. Ducastelle, J. Phys. (Paris) 31, 1055 (1970))
+    /// divided by `N^(2/3)`.
     fn surface_energy(&self, metal: &Metal) -> f64 {
         let counts = self.coordination(metal);
         let missing: f64 = counts.iter().map(|&c| 12f64.sqrt() - (c as f64).sqrt()).sum();
@@ -174,27 +173,27 @@ impl Cluster {
     }
 }
 
-/// Diameters nearer than this to the one asked for will do, in nm.
+/// Largest difference in nm from the requested diameter within which the surface energy decides.
 const TOLERANCE_NM: f64 = 0.04;
 
-/// A way to make a cluster.
+/// The parameters of a cluster.
 pub trait Candidate {
     /// Shape of the cluster.
     const MORPHOLOGY: Morphology;
     /// Number of atoms.
     fn count(&self) -> usize;
-    /// The cluster.
+    /// Makes the cluster.
     fn cluster(&self, metal: &Metal) -> Cluster;
-    /// What tells it from others of its shape.
+    /// Returns numbers that identify the cluster among others of its shape.
     fn key(&self) -> [u64; 4];
 }
 
-/// What tells a cluster from others: the bits of the metal's numbers, the shape, and [`Candidate::key`].
+/// Key of a cluster: the bits of the metal's numbers, the shape, and [`Candidate::key`].
 type ClusterKey = ([u64; 2], Morphology, [u64; 4]);
 
-/// Surface energies of clusters that were looked at: particles of other specimens are chosen among the same.
+/// Surface energies of clusters that were computed before: particles of other specimens are chosen among the same clusters.
 static ENERGIES: LazyLock<Mutex<HashMap<ClusterKey, f64>>> = LazyLock::new(Mutex::default);
-/// Surface energies that are kept; 64 bytes each.
+/// Number of surface energies that are kept; 64 bytes each.
 const KEPT_ENERGIES: usize = 1 << 18;
 
 fn surface_energy<R: Candidate>(candidate: &R, metal: &Metal) -> f64 {
@@ -213,8 +212,8 @@ fn surface_energy<R: Candidate>(candidate: &R, metal: &Metal) -> f64 {
     energy
 }
 
-/// The particle of a shape whose diameter in nm is nearest to `diameter_nm` and within `limits_nm`: of
-/// those within 0.04 nm of it, that of the least surface energy.
+/// Builds the particle of a shape whose diameter is nearest to `diameter_nm` and within `limits_nm`, both in nm. Among the clusters within
+/// 0.04 nm of it, the one with the least surface energy is built.
 ///
 /// # Errors
 /// [`Error::Invalid`] if no cluster has a diameter within the limits.

@@ -1,4 +1,4 @@
-//! Rotations as unit quaternions (w, x, y, z), from the frame of a particle to that of the specimen.
+//! Rotations as unit quaternions (w, x, y, z), from the frame of a particle to the frame of the specimen.
 
 use super::Vec3;
 use crate::structure::lattice::{cross, dot, norm};
@@ -8,13 +8,13 @@ use crate::structure::lattice::{cross, dot, norm};
 pub struct Rotation(pub [f64; 4]);
 
 impl Rotation {
-    /// By `angle` radian about `axis` (of any length).
+    /// Rotation by `angle` radian about `axis` (of any length).
     pub fn about(axis: Vec3, angle: f64) -> Self {
         let scale = libm::sin(0.5 * angle) / norm(axis);
         Rotation([libm::cos(0.5 * angle), axis[0] * scale, axis[1] * scale, axis[2] * scale])
     }
 
-    /// The shortest rotation that takes the direction `from` to z.
+    /// Returns the shortest rotation that takes the direction `from` to z.
     pub fn to_z(from: Vec3) -> Self {
         let length = norm(from);
         let z = [0.0, 0.0, 1.0];
@@ -26,7 +26,7 @@ impl Rotation {
         }
     }
 
-    /// A uniformly distributed rotation from three numbers uniform in (0, 1) (K. Shoemake, Graphics Gems III, 1992).
+    /// Makes a uniformly distributed rotation from three numbers uniform in (0, 1) (K. Shoemake, Graphics Gems III, 1992).
     pub fn uniform([u, v, w]: [f64; 3]) -> Self {
         let turn = |x: f64| 2.0 * std::f64::consts::PI * x;
         let (a, b) = ((1.0 - u).sqrt(), u.sqrt());
@@ -34,7 +34,7 @@ impl Rotation {
         Rotation([b * libm::cos(w), a * libm::sin(v), a * libm::cos(v), b * libm::sin(w)])
     }
 
-    /// This rotation after `first`.
+    /// Returns this rotation after `first`.
     pub fn after(self, first: Rotation) -> Self {
         let ([w, x, y, z], [a, b, c, d]) = (self.0, first.0);
         Rotation([
@@ -45,7 +45,7 @@ impl Rotation {
         ])
     }
 
-    /// The vector, rotated.
+    /// Rotates a vector.
     pub fn apply(self, v: Vec3) -> Vec3 {
         let [w, x, y, z] = self.0;
         let q = [x, y, z];

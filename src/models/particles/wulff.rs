@@ -1,4 +1,4 @@
-//! Truncated octahedra.
+//! Truncated octahedra by Wulff's construction.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -10,25 +10,25 @@ use super::{Candidate, Cluster, Metal, Morphology, Vec3};
 pub struct Wulff {
     /// The centre in units of the cell edge, from a lattice point.
     pub centre: Vec3,
-    /// Distance of the {111} planes from it in Angstrom.
+    /// Distance of the {111} planes from the centre in Angstrom.
     pub distance: f64,
     count: usize,
 }
 
-/// Diameter up to which points are kept for the particles of a recipe: 27 MB.
+/// Diameter in nm up to which points are kept for the particles of a recipe: 27 MB.
 const LARGEST_NM: f64 = 10.0;
 
 /// Finest division of the cell edge for centres.
 const DIVISIONS: i32 = 8;
 
-/// Distance at which the planes have to stand so that the point is just inside, in Angstrom.
+/// Returns the distance of the planes, in Angstrom, at which the point is just inside.
 fn depth(metal: &Metal, p: Vec3) -> f64 {
     let [x, y, z] = p.map(f64::abs);
     let octahedral = (x + y + z) / 3f64.sqrt();
     octahedral.max(x.max(y).max(z) / metal.surface_energy_ratio)
 }
 
-/// Lattice points up to `reach` Angstrom from the centre along each axis, relative to it.
+/// Returns lattice points up to `reach` Angstrom from the centre along each axis, relative to the centre.
 fn points(metal: &Metal, centre: Vec3, reach: f64) -> Vec<Vec3> {
     let half = 0.5 * metal.a;
     let most = (reach / half).ceil() as i32 + 2;
@@ -45,8 +45,8 @@ fn points(metal: &Metal, centre: Vec3, reach: f64) -> Vec<Vec3> {
 }
 
 impl Wulff {
-    /// The cluster of the planes {111} at `distance` Angstrom from `centre` (in units of the cell edge) and {100} at
-    /// `surface_energy_ratio` times that.
+    /// Makes the cluster within planes {111} at `distance` Angstrom from `centre` (in units of the cell edge) and {100} at
+    /// `surface_energy_ratio` times that distance.
     pub fn new(metal: &Metal, centre: Vec3, distance: f64) -> Self {
         let mut wulff = Wulff { centre, distance, count: 0 };
         wulff.count = wulff.cluster(metal).positions.len();
@@ -73,16 +73,16 @@ impl Candidate for Wulff {
     }
 }
 
-/// How deep points lie about centres all over the cell.
+/// Depths of lattice points about centres throughout the cell.
 struct Depths {
     metal: Metal,
-    /// Only those of less than so many Angstrom.
+    /// Only depths below this many Angstrom are listed.
     reach: f64,
-    /// For each centre in Angstrom, ascending.
+    /// For each centre the depths in Angstrom, ascending.
     about: Vec<(Vec3, Vec<f64>)>,
 }
 
-/// The last that were asked for: particles of one recipe have the same.
+/// The depths that were requested last: all particles of one recipe use them.
 static DEPTHS: Mutex<Option<Arc<Depths>>> = Mutex::new(None);
 
 impl Depths {
@@ -97,7 +97,7 @@ impl Depths {
         Depths { metal: *metal, reach, about: centres().into_iter().map(about).collect() }
     }
 
-    /// Those up to `reach` Angstrom, and perhaps more.
+    /// Returns the depths up to `reach` Angstrom, and possibly more.
     fn kept(metal: &Metal, reach: f64) -> Arc<Self> {
         let mut kept = DEPTHS.lock().unwrap_or_else(PoisonError::into_inner);
         match &*kept {
@@ -107,16 +107,16 @@ impl Depths {
     }
 }
 
-/// Clusters of about this diameter, of at most `most_nm`, about centres all over the cell.
+/// Returns clusters of about this diameter, of at most `most_nm`, about centres throughout the cell.
 pub(super) fn candidates(metal: &Metal, diameter_nm: f64, most_nm: f64) -> Vec<Wulff> {
-    // The planes of a cluster of a fourth more atoms stand 5.1 Angstrom from its centre for each nm.
+    // In a cluster of a fourth more atoms the planes are 5.1 Angstrom from its centre for each nm of diameter.
     const REACH: f64 = 7.0;
     let wanted = metal.count(diameter_nm);
     let kept = Depths::kept(metal, REACH * diameter_nm.max(most_nm.min(LARGEST_NM)));
     let mut out = Vec::new();
     for (centre, depths) in &kept.about {
         let depths = &depths[..depths.partition_point(|d| *d < REACH * diameter_nm)];
-        // Shells end where the next point lies deeper.
+        // A shell is complete where the next point lies deeper.
         let near = (1..depths.len().min((1.25 * wanted).ceil() as usize))
             .filter(|&n| (0.8..1.25).contains(&(n as f64 / wanted)));
         let ends = near.filter(|&n| depths[n] > depths[n - 1] + 1e-6);
@@ -125,7 +125,7 @@ pub(super) fn candidates(metal: &Metal, diameter_nm: f64, most_nm: f64) -> Vec<W
     out
 }
 
-/// Centres that differ by more than a symmetry of the crystal.
+/// Returns centres that are not related by a symmetry of the crystal.
 fn centres() -> Vec<Vec3> {
     let mut out = Vec::new();
     for i in 0..=DIVISIONS / 2 {
@@ -142,7 +142,7 @@ fn centres() -> Vec<Vec3> {
 mod tests {
     use super::*;
 
-    /// Points that are kept for larger clusters serve smaller ones.
+    /// Points that were kept for larger clusters also serve smaller ones.
     #[test]
     fn candidates_do_not_depend_on_how_far_points_are_known() {
         let metal = Metal { a: 3.7, surface_energy_ratio: 1.1 };

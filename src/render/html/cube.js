@@ -432,7 +432,8 @@ function connect() {
   });
   watchScan();
   watchPattern();
-  window.addEventListener("resize", () => { scan.resize(); pattern.resize(); redraw(); });
+  const sizes = new ResizeObserver(() => { scan.resize(); pattern.resize(); redraw(); });
+  [scan, pattern].forEach((panel) => sizes.observe(panel.canvas));
 }
 
 if (typeof DecompressionStream === "undefined") {

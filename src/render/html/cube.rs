@@ -145,9 +145,8 @@ impl CubePage {
             facts: &self.facts,
             scan: [1, 0].map(|axis| self.scan[axis].div_ceil(reduction.probes)),
             step: self.step_angstrom.map(|step| by_probes * step),
-            origin: [0, 1].map(|k| {
-                self.origin_angstrom[k] + 0.5 * (by_probes - 1.0) * self.step_angstrom[k]
-            }),
+            origin: [0, 1]
+                .map(|k| self.origin_angstrom[k] + 0.5 * (by_probes - 1.0) * self.step_angstrom[k]),
             pixels: self.detector.pixels.div_ceil(reduction.pixels),
             pixel: by_pixels * pixel,
             first: self.detector.angle_mrad(0) + 0.5 * (by_pixels - 1.0) * pixel,

@@ -28,7 +28,7 @@ const THIN_SITES: usize = 2;
 pub struct DefectKind {
     /// Atomic number of the element concerned.
     pub element: u8,
-    /// What replaces it; `None` for vacancies.
+    /// Atomic number of the element that replaces it; `None` for vacancies.
     pub by: Option<u8>,
 }
 

@@ -1,26 +1,26 @@
-//! Which element a type symbol or a label of an atom stands for.
+//! Finds the element that a type symbol or a label of an atom stands for.
 
 use std::collections::BTreeMap;
 
 use crate::structure::elements;
 
-/// What a name stands for.
+/// Meaning of a type symbol or a label.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NamedAtom {
     /// Atomic number.
     pub number: u8,
-    /// Whether the name means a molecule of water, or a hydroxyl group: its hydrogen is left out.
+    /// Whether the name means a water molecule or a hydroxyl group, whose hydrogen is left out.
     pub without_hydrogen: bool,
 }
 
 /// Number of atoms of each element in a formula.
 pub type Formula = BTreeMap<u8, f64>;
 
-/// Oxygen.
+/// Atomic number of oxygen.
 const OXYGEN: u8 = 8;
 /// Names of water, in capitals.
 const WATER: [&str; 4] = ["WAT", "WATER", "HOH", "AQ"];
-/// Elements whose symbol may be followed by a small letter that tells sites apart: `Ow1`, `Oa`, `Cb`.
+/// Elements whose symbol may be followed by a small letter that distinguishes sites: `Ow1`, `Oa`, `Cb`.
 const SITE_LETTER: [u8; 6] = [1, 6, 7, 8, 9, 16];
 
 fn atom(number: u8) -> NamedAtom {
@@ -31,7 +31,7 @@ fn letters(text: &str) -> String {
     text.chars().take_while(char::is_ascii_alphabetic).collect()
 }
 
-/// Water and hydroxyl: `Wat1`, `H2O`, `OH2`; `OH` only as a type.
+/// Recognises water and hydroxyl: `Wat1`, `H2O`, `OH2`; `OH` only as a type.
 fn group_with_hydrogen(name: &str, is_type: bool) -> Option<NamedAtom> {
     let upper = name.to_ascii_uppercase();
     let formula = ["H2O", "OH2"].iter().any(|water| {
@@ -43,7 +43,7 @@ fn group_with_hydrogen(name: &str, is_type: bool) -> Option<NamedAtom> {
     known.then_some(NamedAtom { number: OXYGEN, without_hydrogen: true })
 }
 
-/// `Sr`, `Sr2+`, `O2-`; deuterium is hydrogen.
+/// Reads a type symbol, `Sr`, `Sr2+` or `O2-`; deuterium is read as hydrogen.
 pub fn from_type_symbol(symbol: &str) -> Option<NamedAtom> {
     if let Some(group) = group_with_hydrogen(symbol, true) {
         return Some(group);
@@ -59,7 +59,8 @@ fn element(symbol: &str) -> Option<u8> {
     }
 }
 
-/// The element at the start of `Sr1`, `O2a` or `OW1`; the error says why there is none. A formula tells which elements there are.
+/// Reads the element at the start of `Sr1`, `O2a` or `OW1`; the error gives the reason if there is none. A formula restricts the possible
+/// elements.
 pub fn from_label(label: &str, formula: Option<&Formula>) -> Result<NamedAtom, String> {
     if let Some(group) = group_with_hydrogen(label, false) {
         return Ok(group);
@@ -68,7 +69,7 @@ pub fn from_label(label: &str, formula: Option<&Formula>) -> Result<NamedAtom, S
     let cure = "add a column _atom_site_type_symbol";
     let [one, two] = candidates(&word, formula)
         .map(|number| number.filter(|z| formula.is_none_or(|formula| formula.contains_key(z))));
-    // A whole symbol of two letters means its element, whatever the formula forgot.
+    // A complete symbol of two letters is read as its element, even if the formula lacks it.
     let two = if one.is_none() { two.or_else(|| whole_symbol(&word)) } else { two };
     match (one, two) {
         (Some(one), Some(two)) if word.chars().nth(1).is_some_and(|c| c.is_ascii_uppercase()) => {
@@ -89,14 +90,14 @@ pub fn from_label(label: &str, formula: Option<&Formula>) -> Result<NamedAtom, S
     }
 }
 
-/// The element of a word such as `Mn`.
+/// Returns the element of a word such as `Mn`.
 fn whole_symbol(word: &str) -> Option<u8> {
     let small = word.chars().nth(1).is_some_and(|c| c.is_ascii_lowercase());
     if word.len() == 2 && small { element(word) } else { None }
 }
 
-/// The elements of the first letter and of the first two. Words are none: `Vac` is no vanadium, and `RE` any rare earth, where the
-/// formula holds no rhenium.
+/// Returns the elements of the first letter and of the first two letters. Words are excluded: `Vac` is no vanadium, and `RE` is any rare
+/// earth unless the formula holds rhenium.
 fn candidates(word: &str, formula: Option<&Formula>) -> [Option<u8>; 2] {
     let first = |count: usize| word.get(..count).and_then(element);
     let small = |at: usize| word[at..].starts_with(|c: char| c.is_ascii_lowercase());

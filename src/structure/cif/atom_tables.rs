@@ -1,4 +1,4 @@
-//! The sites that a data block lists: where, of which element, how full.
+//! Reads the sites in a data block: position, element and occupancy.
 
 use super::atom_labels::{self, Formula, NamedAtom};
 use super::cartesian_sites::{CARTESIAN, CartesianFrame};
@@ -9,10 +9,10 @@ use crate::structure::Atom;
 use crate::structure::lattice::{Mat3, Vec3};
 use crate::structure::source_text::SourceText;
 
-/// Fractional coordinates.
+/// Columns of fractional coordinates.
 pub const FRACTIONAL: [&str; 3] =
     ["_atom_site_fract_x", "_atom_site_fract_y", "_atom_site_fract_z"];
-/// Columns that change what an atom is; without coordinates beside them they cannot be used.
+/// Columns that change the meaning of an atom; in a loop without coordinates they cannot be used.
 const ATTRIBUTES: [&str; 7] = [
     "_atom_site_type_symbol",
     "_atom_site_occupancy",
@@ -27,19 +27,19 @@ const LABEL: &str = "_atom_site_label";
 /// One row of a loop of atoms.
 pub struct CifSite<'t, 'a> {
     pub line: usize,
-    /// The position is fractional.
+    /// The atom, with a fractional position.
     pub atom: Atom,
     table: &'t Loop<'a>,
     row: &'t [CifValue<'a>],
 }
 
 impl<'a> CifSite<'_, 'a> {
-    /// The known value of the first of these columns that is there.
+    /// Returns the known value of the first of these columns that exists.
     pub fn value(&self, tags: &[&str]) -> Option<&'a str> {
         tags.iter().find_map(|tag| self.table.column(&[tag]).and_then(|c| self.row[c].known()))
     }
 
-    /// The label, or where there is none the number of the line.
+    /// Returns the label, or else the number of the line.
     pub fn name(&self) -> String {
         self.value(&[LABEL]).map_or_else(|| format!("of line {}", self.line), str::to_owned)
     }
@@ -54,7 +54,7 @@ pub fn holds_atoms(block: &DataBlock) -> bool {
     block.table(&FRACTIONAL).is_some() || block.table(&CARTESIAN).is_some()
 }
 
-/// The sites of all loops of atoms, in the order of the file.
+/// Returns the sites of all loops of atoms, in the order of the file.
 pub fn sites<'t, 'a>(
     text: &SourceText,
     block: &'t DataBlock<'a>,
@@ -94,7 +94,7 @@ pub fn sites<'t, 'a>(
     Ok(found)
 }
 
-/// Refuses loops that tell of atoms, but not where they are.
+/// Refuses loops with properties of atoms but without coordinates.
 fn check_stray(text: &SourceText, block: &DataBlock) -> Result<()> {
     let without = |l: &&Loop| l.column(&FRACTIONAL).or(l.column(&CARTESIAN)).is_none();
     for stray in block.loops.iter().filter(without) {
@@ -112,7 +112,7 @@ fn check_stray(text: &SourceText, block: &DataBlock) -> Result<()> {
     Ok(())
 }
 
-/// What to say of hydrogen that only a name tells of.
+/// Reports hydrogen atoms that are only implied by a site's name.
 fn left_out(bare: &[String]) -> Option<String> {
     let first = bare.first()?;
     Some(format!(
@@ -121,7 +121,7 @@ fn left_out(bare: &[String]) -> Option<String> {
     ))
 }
 
-/// A site with its atom; none for dummies.
+/// Returns a site with its atom; `None` for dummies.
 fn site<'t, 'a>(
     text: &SourceText,
     raw: CifSite<'t, 'a>,
@@ -138,7 +138,7 @@ fn site<'t, 'a>(
     };
     let mut place: Vec3 = [0.0; 3];
     for (axis, tag) in tags.iter().enumerate() {
-        // Every table was asked for these columns.
+        // All tables were selected by these columns.
         let column = raw.table.column(&[tag]).unwrap_or(0);
         place[axis] = coordinate(text, &raw.row[column], tag, limit)?;
     }

@@ -1,4 +1,4 @@
-//! Cartesian coordinates of a CIF in Angstrom, and the frame that they stand in.
+//! Reads Cartesian coordinates of a CIF in Angstrom, and their frame.
 
 use super::cif_numbers::with_uncertainty;
 use super::tokens::DataBlock;
@@ -6,18 +6,18 @@ use crate::error::Result;
 use crate::structure::lattice::{Mat3, Vec3, inverse, row_times, subtract};
 use crate::structure::source_text::SourceText;
 
-/// Cartesian coordinates.
+/// Columns of Cartesian coordinates.
 pub const CARTESIAN: [&str; 3] = ["_atom_site_cartn_x", "_atom_site_cartn_y", "_atom_site_cartn_z"];
 
-/// From Cartesian coordinates to fractions of the cell: `fraction = (position - origin) * matrix`, as row vectors.
+/// Converts Cartesian coordinates to fractions of the cell: `fraction = (position - origin) * matrix`, as row vectors.
 pub struct CartesianFrame {
     origin: Vec3,
     matrix: Mat3,
 }
 
 impl CartesianFrame {
-    /// The frame that the file gives as a matrix (`_atom_sites_Cartn_tran_matrix_11` and so on; in mmCIF
-    /// `_atom_sites.fract_transf_matrix[1][1]`); without one, a lies along x and b in the plane of x and y.
+    /// Returns the frame that the file gives as a matrix (`_atom_sites_Cartn_tran_matrix_11` and so on; in mmCIF
+    /// `_atom_sites.fract_transf_matrix[1][1]`). Without a matrix, a lies along x and b in the plane of x and y.
     pub fn of(
         text: &SourceText,
         block: &DataBlock,
@@ -66,7 +66,7 @@ impl CartesianFrame {
         Ok(frame)
     }
 
-    /// Fractions of the cell of a Cartesian position in Angstrom.
+    /// Returns the fractions of the cell of a Cartesian position in Angstrom.
     pub fn fractions(&self, position: Vec3) -> Vec3 {
         row_times(subtract(position, self.origin), &self.matrix)
     }

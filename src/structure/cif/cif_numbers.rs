@@ -1,10 +1,10 @@
-//! Numbers of a CIF, which may carry an uncertainty.
+//! Reads numbers of a CIF, which may have an uncertainty.
 
 use super::tokens::CifValue;
 use crate::error::Result;
 use crate::structure::source_text::SourceText;
 
-/// A number such as `3.905(1)`.
+/// Reads a number such as `3.905(1)`.
 pub fn with_uncertainty(text: &SourceText, line: usize, what: &str, word: &str) -> Result<f64> {
     let plain = match word.split_once('(') {
         Some((value, rest)) => match rest.strip_suffix(')') {
@@ -16,7 +16,7 @@ pub fn with_uncertainty(text: &SourceText, line: usize, what: &str, word: &str) 
     text.number(line, what, plain)
 }
 
-/// A coordinate; `most` is the largest that is accepted, and `expected` says what a coordinate is.
+/// Reads a coordinate; `most` is the largest accepted value, and `expected` describes a valid coordinate.
 pub fn coordinate(
     text: &SourceText,
     value: &CifValue,

@@ -1,5 +1,5 @@
-//! Which sites of a CIF exclude each other: `_atom_site_disorder_assembly` and `_atom_site_disorder_group`, or the alternative locations of
-//! mmCIF, `_atom_site.label_alt_id`, of which each residue has its own.
+//! Finds the sites of a CIF that exclude each other: by `_atom_site_disorder_assembly` and `_atom_site_disorder_group`, or by the
+//! alternative locations of mmCIF, `_atom_site.label_alt_id`, which are counted within each residue.
 
 use std::collections::BTreeMap;
 
@@ -9,27 +9,27 @@ use crate::structure::overlap::FULLEST_SITE;
 
 const GROUP: [&str; 1] = ["_atom_site_disorder_group"];
 const ASSEMBLY: [&str; 1] = ["_atom_site_disorder_assembly"];
-/// The alternative locations of mmCIF, used where the group is not given.
+/// The alternative locations of mmCIF, used if no group is given.
 const ALTERNATIVE: [&str; 1] = ["_atom_site_label_alt_id"];
-/// What names a residue of mmCIF: the chain, the number, and the code of inserted residues.
+/// Columns that name a residue of mmCIF: the chain, the number, and the code of inserted residues.
 const RESIDUE: [&[&str]; 3] = [
     &["_atom_site_auth_asym_id", "_atom_site_label_asym_id"],
     &["_atom_site_auth_seq_id", "_atom_site_label_seq_id"],
     &["_atom_site_pdbx_pdb_ins_code"],
 ];
-/// Occupancies that differ by less than this are one.
+/// Occupancies that differ by less than this count as equal.
 const SAME_OCCUPANCY: f64 = 0.01;
 
-/// The groups of the sites: of each the assembly and the group within it, by number.
+/// The groups of the sites: for each site the number of its assembly and of the group within it.
 pub struct DisorderGroups {
     of_site: Vec<Option<[u32; 2]>>,
-    /// Number of the place by assembly and symmetry operation.
+    /// Number of the place, by assembly and symmetry operation.
     places: BTreeMap<[u32; 2], u32>,
 }
 
 impl DisorderGroups {
-    /// The groups that a file gives. Where it names no assemblies, groups of one number may belong to several: sites are told apart
-    /// by their occupancies then. Assemblies whose groups add to more than 1 are left out, and `notes` says so.
+    /// Reads the groups of a file. Where the file names no assemblies, groups of one number may belong to several; the assemblies are then
+    /// distinguished by the occupancies. Assemblies whose groups add to more than 1 are left out, which is reported in `notes`.
     pub fn of(sites: &[CifSite], notes: &mut Vec<String>) -> Self {
         let mut named: BTreeMap<String, BTreeMap<&str, Vec<usize>>> = BTreeMap::new();
         for (index, site) in sites.iter().enumerate() {
@@ -62,7 +62,7 @@ impl DisorderGroups {
         DisorderGroups { of_site, places: BTreeMap::new() }
     }
 
-    /// The alternative that the image of a site by a symmetry operation is.
+    /// Returns the alternative of a site's image by a symmetry operation.
     pub fn alternative(&mut self, site: usize, operation: usize) -> Option<Alternative> {
         let [assembly, choice] = self.of_site[site]?;
         let next = self.places.len() as u32;
@@ -71,7 +71,7 @@ impl DisorderGroups {
     }
 }
 
-/// The assembly of a site, empty where it is not named, and the group in it.
+/// Returns the assembly of a site, empty if it is not named, and the group in it.
 fn group<'a>(site: &CifSite<'_, 'a>) -> Option<(String, &'a str)> {
     if let Some(group) = site.value(&GROUP) {
         return Some((site.value(&ASSEMBLY).unwrap_or("").to_owned(), group));
@@ -81,7 +81,7 @@ fn group<'a>(site: &CifSite<'_, 'a>) -> Option<(String, &'a str)> {
     Some((residue.join(" "), alternative))
 }
 
-/// Assemblies that are not named: one if the occupancies allow it, or else one for each pair of occupancies that add to 1.
+/// Forms assemblies that are not named: one if the occupancies allow it, or else one for each pair of occupancies that add to 1.
 fn by_occupancy<'a>(
     sites: &[CifSite],
     groups: BTreeMap<&'a str, Vec<usize>>,

@@ -1,4 +1,4 @@
-//! Thermal displacements that a CIF lists: U or B of each site.
+//! Reads the thermal displacements in a CIF: U or B of each site.
 
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -16,7 +16,7 @@ const ANISOTROPIC_LABEL: &str = "_atom_site_aniso_label";
 /// Components of a symmetric tensor, in the order of the columns.
 const COMPONENTS: [[usize; 2]; 6] = [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]];
 
-/// How an anisotropic displacement is written.
+/// Notation of an anisotropic displacement.
 #[derive(Clone, Copy)]
 enum Notation {
     /// U in square Angstrom, on the reciprocal axes.
@@ -30,7 +30,7 @@ enum Notation {
 impl Notation {
     const ALL: [(Self, &str); 3] = [(Self::U, "u"), (Self::B, "b"), (Self::Beta, "beta")];
 
-    /// What a component with the unit value contributes to U on the axes of the cell: `U_ij a*_i a*_j`.
+    /// Returns the contribution of a component of value 1 to U on the axes of the cell: `U_ij a*_i a*_j`.
     fn scale(self, reciprocal: [f64; 2]) -> f64 {
         match self {
             Notation::U => reciprocal[0] * reciprocal[1],
@@ -40,8 +40,8 @@ impl Notation {
     }
 }
 
-/// The standard deviation of each Cartesian component in Angstrom, by element: the root of the mean U of its sites. Sites without a
-/// value of their own take the equivalent one of their anisotropic displacement.
+/// Returns the standard deviation of each Cartesian component in Angstrom, by element: the root of the mean U of its sites. Sites without
+/// an isotropic value take the equivalent one of their anisotropic displacement.
 pub fn displacements(
     text: &SourceText,
     block: &DataBlock,
@@ -74,12 +74,12 @@ pub fn displacements(
     Ok(means.into_iter().map(|(z, (sum, n))| (z, (sum / n as f64).sqrt())).collect())
 }
 
-/// U of B: B = 8 pi^2 U.
+/// Converts B to U: B = 8 pi^2 U.
 fn of_b(b: f64) -> f64 {
     b / (8.0 * PI * PI)
 }
 
-/// The equivalent isotropic U of a label in square Angstrom: `U_eq = 1/3 sum_ij U_ij a*_i a*_j (a_i . a_j)`, a third of the trace
+/// Returns the equivalent isotropic U of a label in square Angstrom: `U_eq = 1/3 sum_ij U_ij a*_i a*_j (a_i . a_j)`, a third of the trace
 /// in a Cartesian frame (R. X. Fischer, E. Tillmanns, Acta Cryst. C 44 (1988) 775).
 fn equivalent(
     text: &SourceText,
@@ -108,7 +108,7 @@ fn equivalent(
                     let scale = notation.scale([reciprocal[i], reciprocal[j]]);
                     Some(sum + twice * value * scale * angle)
                 }
-                // Axes at right angles do not ask for this component.
+                // With axes at right angles this component does not contribute, so it may be missing.
                 (sum, None) if i != j && angle == 0.0 => sum,
                 _ => None,
             };

@@ -1,4 +1,4 @@
-//! What a CIF says of its contents, against the atoms that were read.
+//! Compares the contents that a CIF states with the atoms that were read.
 
 use super::atom_labels::Formula;
 use super::atom_tables::CifSite;
@@ -9,20 +9,20 @@ const FORMULA: [&str; 1] = ["_chemical_formula_sum"];
 const UNITS: [&str; 1] = ["_cell_formula_units_z"];
 const MULTIPLICITY: [&str; 2] =
     ["_atom_site_symmetry_multiplicity", "_atom_site_site_symmetry_multiplicity"];
-/// Amounts of an element that differ by less than this share, ...
+/// Amounts of an element count as equal if they differ by less than this share, ...
 const SAME_SHARE: f64 = 0.03;
-/// ... or by less than this many atoms in a formula unit, are one.
+/// ... or by less than this many atoms in a formula unit.
 const SAME_AMOUNT: f64 = 0.02;
-/// Hydrogen.
+/// Atomic number of hydrogen.
 const HYDROGEN: u8 = 1;
 
-/// The formula of a data block; `None` where there is none, or one that is not understood.
+/// Reads the formula of a data block; `None` if there is none, or if it cannot be read.
 pub fn formula(block: &DataBlock) -> Option<Formula> {
     let (_, word) = block.get(&FORMULA)?;
     parse(word)
 }
 
-/// `Ca0.5 Sr0.5 Ti O3`, with or without blanks.
+/// Reads `Ca0.5 Sr0.5 Ti O3`, with or without blanks.
 fn parse(word: &str) -> Option<Formula> {
     let mut formula = Formula::new();
     let mut rest = word.trim();
@@ -46,7 +46,7 @@ fn parse(word: &str) -> Option<Formula> {
     Some(formula).filter(|f| !f.is_empty())
 }
 
-/// What to say of sites whose number of images is not what the file says. `counts` are those of the sites.
+/// Reports sites whose multiplicity differs from the one in the file. `counts` are the numbers of images of the sites.
 pub fn multiplicity_note(sites: &[CifSite], counts: &[usize]) -> Option<String> {
     let mut wrong = sites.iter().zip(counts).filter_map(|(site, &count)| {
         let stated: usize = site.value(&MULTIPLICITY)?.parse().ok()?;
@@ -63,7 +63,7 @@ pub fn multiplicity_note(sites: &[CifSite], counts: &[usize]) -> Option<String> 
     ))
 }
 
-/// What to say of a composition that is not the formula's; `read` is that of the cell.
+/// Reports a composition that differs from the formula; `read` is the composition of the cell.
 pub fn composition_note(block: &DataBlock, read: &Formula) -> Option<String> {
     let formula = formula(block)?;
     let z: Option<f64> =
@@ -86,7 +86,7 @@ pub fn composition_note(block: &DataBlock, read: &Formula) -> Option<String> {
     };
     let units = z.unwrap_or(fitted);
     let differing = wrong(units);
-    // Some programs (pymatgen) write the sum of the whole cell beside the number of its units.
+    // Some programs (pymatgen) write the formula of the whole cell next to the number of formula units.
     let whole = |amount: &f64| (amount / units - (amount / units).round()).abs() < 1e-3;
     let of_cell = units > 1.0 && formula.values().all(whole) && wrong(1.0).is_empty();
     if differing.is_empty() || of_cell {
@@ -113,7 +113,7 @@ fn symbols(numbers: &[u8]) -> String {
     numbers.iter().map(|n| elements::symbol(*n)).collect::<Vec<_>>().join(", ")
 }
 
-/// `Ti 3, O 9`.
+/// Writes `Ti 3, O 9`.
 fn amounts(formula: &Formula, units: f64) -> String {
     let part = |(number, amount): (&u8, &f64)| {
         format!("{} {}", elements::symbol(*number), (amount * units * 1e3).round() / 1e3)

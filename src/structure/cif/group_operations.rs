@@ -1,4 +1,4 @@
-//! The symmetry operations that a data block lists, in any of the notations that are understood.
+//! Reads the symmetry operations of a data block, in any of the supported notations.
 
 use super::symmetry::{self, Operation};
 use super::tokens::DataBlock;
@@ -8,13 +8,13 @@ use crate::structure::source_text::SourceText;
 
 /// Largest relative change of the metric by a symmetry operation.
 const LARGEST_STRAIN: f64 = 0.01;
-/// More operations than any space group has (192), in a cell twice as large as usual.
+/// Largest number of operations: more than any space group has (192) in a cell of twice the usual size.
 const MOST_OPERATIONS: usize = 400;
 
 const OPERATIONS: [&str; 2] = ["_space_group_symop_operation_xyz", "_symmetry_equiv_pos_as_xyz"];
 const MAGNETIC: [&str; 1] = ["_space_group_symop_magn_operation_xyz"];
 const CENTERINGS: [&str; 1] = ["_space_group_symop_magn_centering_xyz"];
-/// What tells of a crystal that no cell repeats.
+/// Tags of a modulated crystal, which no cell repeats.
 const MODULATED: [&str; 5] = [
     "_space_group_symop_ssg_operation_algebraic",
     "_space_group_symop_magn_ssg_operation_algebraic",
@@ -24,15 +24,15 @@ const MODULATED: [&str; 5] = [
 ];
 const MODULATION_DIMENSION: &str = "_cell_modulation_dimension";
 
-/// An operation as it is listed.
+/// An operation in the list of the file.
 struct ListedOperation<'a> {
     line: usize,
     word: &'a str,
     operation: Operation,
 }
 
-/// The symmetry operations; the identity alone for P1 and for files silent about symmetry. Time reversal, which moves no atoms, is
-/// left out.
+/// Returns the symmetry operations; the identity alone for P1 and for files without information about symmetry. Time reversal, which moves
+/// no atoms, is left out.
 pub fn operations(
     text: &SourceText,
     block: &DataBlock,
@@ -73,7 +73,7 @@ pub fn operations(
     Ok(operations)
 }
 
-/// The operations in a column or an item; magnetic ones end with `+1` or `-1` for time reversal.
+/// Reads the operations in a column or an item; magnetic ones end with `+1` or `-1` for time reversal.
 fn of_tags<'a>(
     text: &SourceText,
     block: &DataBlock<'a>,
@@ -106,7 +106,7 @@ fn of_tags<'a>(
     Ok(listed)
 }
 
-/// `x,y,z` of `x,y,z,-1`.
+/// Returns `x,y,z` of `x,y,z,-1`.
 fn without_time_reversal(word: &str) -> &str {
     match word.rsplit_once(',') {
         Some((place, sign)) if ["+1", "-1", "1"].contains(&sign.trim()) => place,
@@ -114,7 +114,7 @@ fn without_time_reversal(word: &str) -> &str {
     }
 }
 
-/// Each operation once: two that differ in time reversal move atoms alike.
+/// Keeps each operation once: two that differ only in time reversal move atoms alike.
 fn distinct(listed: Vec<ListedOperation<'_>>) -> Vec<ListedOperation<'_>> {
     let mut kept: Vec<ListedOperation> = Vec::new();
     for one in listed {
@@ -125,7 +125,7 @@ fn distinct(listed: Vec<ListedOperation<'_>>) -> Vec<ListedOperation<'_>> {
     kept
 }
 
-/// The operations followed by each of the centring translations.
+/// Returns the operations, each followed by each of the centring translations.
 fn centred<'a>(
     listed: Vec<ListedOperation<'a>>,
     centerings: Vec<ListedOperation<'a>>,
@@ -142,7 +142,7 @@ fn centred<'a>(
     distinct(both.take(2 * MOST_OPERATIONS).collect())
 }
 
-/// Refuses modulated crystals; where usual operations are listed too, they make the average structure.
+/// Refuses modulated crystals. If ordinary operations are listed too, they give the average structure, which is read.
 fn check_modulation(
     text: &SourceText,
     block: &DataBlock,
@@ -169,14 +169,14 @@ fn check_modulation(
     }
 }
 
-/// What a tag tells of the symmetry.
+/// Information of a tag about the symmetry.
 #[derive(PartialEq)]
 enum SymmetryTag {
     /// A name or number of the group, or of its point group.
     Group,
-    /// The crystal system, which a group's name overrules.
+    /// The crystal system, which is ignored if the group has a name.
     System,
-    /// Nothing that says where atoms are.
+    /// No information about the places of atoms.
     Other,
 }
 
@@ -204,12 +204,12 @@ fn symmetry_tag(tag: &str) -> SymmetryTag {
     }
 }
 
-/// Whether a name, number or system of a group says that no two atoms are equivalent.
+/// Whether a name, number or system of a group means that no two atoms are equivalent.
 fn is_p1(tag: &str, name: &str) -> bool {
     let kept = |c: &char| !c.is_whitespace() && !"_^()'".contains(*c);
     let compact: String = name.chars().filter(kept).collect::<String>().to_ascii_lowercase();
     let alike: &[&str] = match tag {
-        // As a Hermann-Mauguin symbol, `C 1` has a centred cell.
+        // The Hermann-Mauguin symbol `C 1` has a centred cell, so it is not listed.
         _ if tag.contains("schoenflies") => &["c1", "c11"],
         _ if tag.contains("_magn_") => &["p1", "p11", "1", "1.1", "1.2", "1.1.1", "1.2.2"],
         _ => &["p1", "p111", "1", "triclinic", "anorthic"],
@@ -217,7 +217,7 @@ fn is_p1(tag: &str, name: &str) -> bool {
     alike.contains(&compact.as_str())
 }
 
-/// A group's name or number alone does not fix setting and origin, so nothing is guessed.
+/// Refuses groups other than P1 without operations: name or number alone do not determine setting and origin.
 fn check_group_is_p1(text: &SourceText, block: &DataBlock) -> Result<()> {
     let mut stated: Vec<(usize, &str, &str)> = Vec::new();
     for (tag, value) in &block.items {

@@ -25,14 +25,14 @@ use disorder::DisorderGroups;
 use symmetry::Operation;
 use tokens::DataBlock;
 
-/// Images nearer than this fraction of the cell in every coordinate are one atom ...
+/// Images nearer than this fraction of the cell in every coordinate count as one atom ...
 const SAME_FRACTION: f64 = 1e-3;
-/// ... and so are those nearer than this, in Angstrom.
+/// ... and so do images nearer than this, in Angstrom.
 const SAME_DISTANCE: f64 = 0.01;
-/// Most atoms that the symmetry of a file may make: a small file can announce as many as it likes.
+/// Largest number of atoms that symmetry may produce: a small file can announce any number.
 const MOST_ATOMS: usize = 4_000_000;
 
-/// Reads the one data block that has atoms. What there is to say of it comes with the structure.
+/// Reads the one data block that has atoms. The second value of the result are warnings about the file.
 pub(super) fn parse(text: &SourceText) -> Result<(Structure, Vec<String>)> {
     let blocks = tokens::blocks(text)?;
     let block = block_of_atoms(text, &blocks)?;
@@ -62,7 +62,7 @@ pub(super) fn parse(text: &SourceText) -> Result<(Structure, Vec<String>)> {
     Ok((structure, notes))
 }
 
-/// The standard deviations of thermal displacements in Angstrom, by element.
+/// Returns the standard deviations of thermal displacements in Angstrom, by element.
 pub(super) fn displacements(text: &SourceText) -> Result<BTreeMap<u8, f64>> {
     let blocks = tokens::blocks(text)?;
     let block = block_of_atoms(text, &blocks)?;
@@ -91,7 +91,7 @@ fn block_of_atoms<'b, 'a>(
     Ok(block)
 }
 
-/// The cell in the standard orientation.
+/// Returns the cell in the standard orientation.
 fn cell(text: &SourceText, block: &DataBlock) -> Result<Mat3> {
     let get = |tag: &str| -> Result<(usize, f64)> {
         let Some((line, word)) = block.get(&[tag]) else {
@@ -132,7 +132,7 @@ fn cell(text: &SourceText, block: &DataBlock) -> Result<Mat3> {
     Ok(cell)
 }
 
-/// Cosine, exact where it is a rational number.
+/// Returns the cosine, exact where it is a rational number.
 fn cos_degrees(degrees: f64) -> f64 {
     match degrees {
         60.0 => 0.5,
@@ -142,9 +142,9 @@ fn cos_degrees(degrees: f64) -> f64 {
     }
 }
 
-/// The distinct images of a site in the cell, as fractions in [0, 1), each with the number of its operation.
+/// Returns the distinct images of a site in the cell, as fractions in [0, 1), each with the number of its operation.
 fn images(site: &CifSite, operations: &[Operation], cell: &Mat3) -> Vec<(usize, Vec3)> {
-    // A file that lists all atoms keeps them where they are.
+    // In a file that lists all atoms, the atoms keep their positions.
     if operations.len() == 1 {
         return vec![(0, site.atom.position)];
     }

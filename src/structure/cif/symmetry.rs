@@ -3,7 +3,7 @@
 use super::super::lattice::{Mat3, Vec3, dot};
 use std::collections::HashMap;
 
-/// Translations equal to within this fraction of a cell are one; thirds may have three digits.
+/// Translations that differ by less than this fraction of a cell count as equal; thirds may have three digits.
 const SAME_TRANSLATION: f64 = 2e-3;
 
 /// A symmetry operation on fractional coordinates: `rotation * x + translation`.
@@ -17,7 +17,7 @@ impl Operation {
     pub const IDENTITY: Self =
         Operation { rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], translation: [0.0; 3] };
 
-    /// Reads `x,y,z` notation; the error says what is wrong with it.
+    /// Reads `x,y,z` notation; the error describes the fault.
     pub fn parse(text: &str) -> Result<Self, String> {
         let parts: Vec<&str> = text.split(',').collect();
         let &[x, y, z] = parts.as_slice() else {
@@ -43,17 +43,17 @@ impl Operation {
             .sum()
     }
 
-    /// The image of a fractional position.
+    /// Returns the image of a fractional position.
     pub fn apply(&self, x: Vec3) -> Vec3 {
         std::array::from_fn(|i| dot(self.rotation[i].map(f64::from), x) + self.translation[i])
     }
 
-    /// Whether both move every atom alike.
+    /// Whether both operations move every atom alike.
     pub fn moves_alike(&self, other: &Self) -> bool {
         self.rotation == other.rotation && same_translation(self.translation, other.translation)
     }
 
-    /// First `other`, then `self`.
+    /// Returns the product: first `other`, then `self`.
     pub fn after(&self, other: &Self) -> Self {
         let rotation = std::array::from_fn(|i| {
             std::array::from_fn(|j| {
@@ -63,7 +63,7 @@ impl Operation {
         Operation { rotation, translation: self.apply(other.translation) }
     }
 
-    /// Largest relative change of the scalar products of the cell vectors.
+    /// Returns the largest relative change of the scalar products of the cell vectors.
     pub fn strain(&self, cell: &Mat3) -> f64 {
         // Column j of the rotation is the image of cell vector j.
         let image = |j: usize| -> Vec3 {
@@ -90,7 +90,7 @@ fn same_translation(a: Vec3, b: Vec3) -> bool {
     })
 }
 
-/// One part such as `1/2-x`: the coefficients of x, y, z and the constant.
+/// Reads one part such as `1/2-x`: the coefficients of x, y, z and the constant.
 fn component(text: &str) -> Result<([i32; 3], f64), String> {
     let compact: String = text.chars().filter(|c| !c.is_whitespace()).collect();
     let mut rest = compact.to_ascii_lowercase();
@@ -131,8 +131,7 @@ fn fraction(text: &str) -> Option<f64> {
     }
 }
 
-/// A pair of operations (their indices) whose product is not among them: a list that is cut off
-/// or mistyped does not form a group.
+/// Returns a pair of operations (their indices) whose product is not in the list: a list that is cut off or mistyped is no group.
 pub fn missing_product(operations: &[Operation]) -> Option<(usize, usize)> {
     let mut known: HashMap<[[i32; 3]; 3], Vec<Vec3>> = HashMap::new();
     for operation in operations {

@@ -16,7 +16,7 @@ pub struct CifValue<'a> {
 }
 
 impl<'a> CifValue<'a> {
-    /// The text, or `None` for `?` (unknown) and `.` (not applicable).
+    /// Returns the text, or `None` for `?` (unknown) and `.` (not applicable).
     pub fn known(&self) -> Option<&'a str> {
         let absent = !self.quoted && (self.text == "?" || self.text == ".");
         (!absent).then_some(self.text.trim())
@@ -28,17 +28,17 @@ impl<'a> CifValue<'a> {
 pub struct Loop<'a> {
     pub line: usize,
     pub tags: Vec<String>,
-    /// Row after row.
+    /// Values, row after row.
     values: Vec<CifValue<'a>>,
 }
 
 impl<'a> Loop<'a> {
-    /// The rows, each with a value for every tag.
+    /// Returns the rows, each with a value for every tag.
     pub fn rows(&self) -> std::slice::ChunksExact<'_, CifValue<'a>> {
         self.values.chunks_exact(self.tags.len().max(1))
     }
 
-    /// The column of the first of `tags` that is there.
+    /// Returns the index of the column of the first of `tags` that exists.
     pub fn column(&self, tags: &[&str]) -> Option<usize> {
         tags.iter().find_map(|tag| self.tags.iter().position(|t| t == tag))
     }
@@ -54,7 +54,7 @@ pub struct DataBlock<'a> {
 }
 
 impl<'a> DataBlock<'a> {
-    /// The known value of the first of `tags` that has one.
+    /// Returns the known value, with its line, of the first of `tags` that has one.
     pub fn get(&self, tags: &[&str]) -> Option<(usize, &'a str)> {
         tags.iter().find_map(|tag| {
             let value = self.items.get(*tag)?;
@@ -62,12 +62,12 @@ impl<'a> DataBlock<'a> {
         })
     }
 
-    /// The loops that have one of the columns.
+    /// Returns the loops that have one of the columns.
     pub fn tables(&self, tags: &[&str]) -> Vec<&Loop<'a>> {
         self.loops.iter().filter(|l| l.column(tags).is_some()).collect()
     }
 
-    /// The loop that has one of the columns.
+    /// Returns the first loop that has one of the columns.
     pub fn table(&self, tags: &[&str]) -> Option<&Loop<'a>> {
         self.loops.iter().find(|l| l.column(tags).is_some())
     }
@@ -81,7 +81,7 @@ enum Token<'a> {
     Value(CifValue<'a>),
 }
 
-/// All data blocks of the file.
+/// Splits the file into its data blocks.
 pub fn blocks<'a>(text: &SourceText<'a>) -> Result<Vec<DataBlock<'a>>> {
     let mut tokens = Tokens::new(text);
     let mut blocks: Vec<DataBlock> = Vec::new();
@@ -115,7 +115,7 @@ pub fn blocks<'a>(text: &SourceText<'a>) -> Result<Vec<DataBlock<'a>>> {
     Ok(blocks)
 }
 
-/// Pairs of a tag and a value are loops of one row: CIF knows no difference.
+/// Converts pairs of a tag and a value to loops of one row: CIF makes no difference between them.
 fn rows_of_pairs(block: &mut DataBlock) {
     const SITES: &str = "_atom_site_";
     const ANISOTROPIC: &str = "_atom_site_aniso_";
@@ -132,7 +132,7 @@ fn rows_of_pairs(block: &mut DataBlock) {
     }
 }
 
-/// The first line of a value, cut where it is long.
+/// Returns the first line of a value, shortened if it is long.
 fn shown(value: &str) -> String {
     value.lines().next().unwrap_or_default().chars().take(60).collect()
 }
@@ -163,13 +163,13 @@ fn take_loop<'a>(text: &SourceText, line: usize, tokens: &mut Tokens<'_, 'a>) ->
 /// The tokens of a file, one after another.
 struct Tokens<'t, 'a> {
     text: &'t SourceText<'a>,
-    /// What follows the current line.
+    /// Text after the current line.
     lines: &'a str,
-    /// What is left of the current line.
+    /// Unread text of the current line.
     rest: &'a str,
     /// Number of the current line.
     number: usize,
-    /// A token that was looked at, but not taken.
+    /// A token that was read ahead.
     next: Option<(usize, Token<'a>)>,
 }
 
@@ -178,7 +178,7 @@ impl<'t, 'a> Tokens<'t, 'a> {
         Tokens { text, lines: text.body, rest: "", number: 0, next: None }
     }
 
-    /// The next token, with its line.
+    /// Returns the next token, with its line.
     fn take(&mut self) -> Result<Option<(usize, Token<'a>)>> {
         if let Some(token) = self.next.take() {
             return Ok(Some(token));
@@ -231,7 +231,7 @@ impl<'t, 'a> Tokens<'t, 'a> {
         Some(line.strip_suffix('\r').unwrap_or(line))
     }
 
-    /// The text from `first` to the line that begins with `;`.
+    /// Reads the text from `first` to the line that begins with `;`.
     fn text_field(&mut self, first: &'a str) -> Result<(usize, Token<'a>)> {
         let line = self.number;
         let from = first.as_ptr().addr() - self.text.body.as_ptr().addr();
@@ -249,7 +249,7 @@ impl<'t, 'a> Tokens<'t, 'a> {
     }
 }
 
-/// The token at the start of `rest` (none for `stop_`), and what follows it.
+/// Reads the token at the start of `rest` (none for `stop_`), and returns the text after it.
 fn token<'a>(
     text: &SourceText,
     line: usize,
@@ -277,7 +277,7 @@ fn token<'a>(
     Ok((Some(token), after))
 }
 
-/// A quote closes only before white space, so that `'O5''` holds an apostrophe.
+/// Reads a quoted value. A quote closes only before white space, so that `'O5''` holds an apostrophe.
 fn quoted<'a>(
     text: &SourceText,
     line: usize,
