@@ -5,7 +5,7 @@ macro_rules! settings {
     ($($(#[doc = $doc:literal])* $variant:ident = $name:literal,)*) => {
         /// A setting, or another value that the library checks, as [`Error`](crate::Error) names it.
         ///
-        /// Not `#[non_exhaustive]`, on purpose: a front end tells with one exhaustive `match` which of its own
+        /// Not `#[non_exhaustive]`, on purpose: a front end finds with one exhaustive `match` which of its own
         /// options mends a setting, so that the compiler finds a setting that it forgets.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
         pub enum Setting {

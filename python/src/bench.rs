@@ -1,4 +1,4 @@
-//! Episodes of the benchmark, one or many at once.
+//! Runs one or many episodes of the benchmark.
 
 use crate::builds::CacheChoice;
 use crate::errors::{Fault, Told};
@@ -24,11 +24,11 @@ use stemgen::recipe::Recipe;
 use stemgen::world::BuildOptions;
 use stemgen::{Error, Setting};
 
-/// What an episode acts in.
+/// The world of an episode, or the recipe from which each episode makes one.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct Scene {
-    /// A world file; else a recipe.
+    /// Path of a world file; `None` for a recipe.
     world: Option<PathBuf>,
     toml: Option<String>,
     /// Acquisitions change the specimen.
@@ -37,7 +37,7 @@ struct Scene {
     cache: CacheChoice,
 }
 
-/// The rules.
+/// The rules of an episode.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct Rules {
@@ -54,16 +54,16 @@ struct Rules {
     overview: bool,
 }
 
-/// Where worlds come from.
+/// The source of worlds.
 enum Worlds {
     File(Arc<FileWorld>),
     Recipe { source: Arc<RecipeSource>, split: Split, damage: bool },
 }
 
-/// What environments of this process use: those of different tasks share a specimen and its images. Recipes travel with their crystals
-/// in them, so equal ones make the same worlds.
+/// Sources in use by the environments of this process. Environments of different tasks share a specimen and its images. A recipe contains
+/// its crystals, so equal recipes make equal worlds.
 static SOURCES: InUse<(Recipe, Cache), RecipeSource> = InUse::new();
-/// A file by its path, length and time of change, and the cache of what it lacks.
+/// A file by its path, length and time of change, and the cache for images that it does not contain.
 type FileKey = (PathBuf, Option<(u64, SystemTime)>, Cache);
 static FILES: InUse<FileKey, FileWorld> = InUse::new();
 
@@ -90,7 +90,7 @@ impl Worlds {
         }
     }
 
-    /// The world of an episode (seed, number).
+    /// Returns the world of an episode (seed, number).
     fn world(
         &self,
         episode: (u64, u32),
@@ -143,13 +143,13 @@ impl Rules {
     }
 }
 
-/// One of many episodes.
+/// The state of one of many episodes.
 #[derive(Default)]
 struct Slot {
     episode: Option<Episode>,
 }
 
-/// What a step of a slot came to.
+/// The result of a step of a slot.
 #[derive(Default)]
 struct Stepped {
     reward: f64,
@@ -158,7 +158,7 @@ struct Stepped {
     fault: Option<String>,
 }
 
-/// What the slots do: those with an episode (seed, number) begin it, the others act.
+/// The actions of the slots. A slot with an episode (seed, number) begins it; the other slots act.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct Moves {
@@ -214,7 +214,7 @@ impl Moves {
     }
 }
 
-/// Observations of all slots, in arrays that begin with the slot.
+/// Observations of all slots, in arrays whose first axis is the slot.
 struct Seen {
     tile: Array3<f32>,
     overview: Array3<f32>,
@@ -317,7 +317,7 @@ impl Episodes {
         })
     }
 
-    /// Facts of the field, the rules and the task, as JSON.
+    /// Returns the facts of the field, the rules and the task as JSON.
     fn facts(&self, py: Python<'_>) -> PyResult<String> {
         let facts = serde_json::json!({
             "field": self.worlds.facts(), "settings": self.settings, "task": self.task,
@@ -325,7 +325,7 @@ impl Episodes {
         serde_json::to_string(&facts).map_err(Fault::from).or_raise(py)
     }
 
-    /// One step of all slots: a dict of arrays.
+    /// Executes one step of all slots. Returns a dict of arrays.
     fn step(&self, py: Python<'_>, moves: Moves, running: Running) -> PyResult<Py<PyDict>> {
         let (worlds, slots) = (Arc::clone(&self.worlds), Arc::clone(&self.slots));
         let (task, settings) = (self.task.clone(), self.settings.clone());
@@ -376,24 +376,24 @@ impl Episodes {
         Ok(out.unbind())
     }
 
-    /// The record of a slot, as JSON.
+    /// Returns the record of a slot as JSON.
     fn record(&self, py: Python<'_>, slot: usize, running: Running) -> PyResult<String> {
         self.of(py, slot, running, |episode| {
             serde_json::to_string(&episode.record()?).map_err(Fault::from)
         })
     }
 
-    /// The score of what was declared last in a slot.
+    /// Returns the score of the last declaration in a slot.
     fn score(&self, py: Python<'_>, slot: usize, running: Running) -> PyResult<f64> {
         self.of(py, slot, running, |episode| Ok(episode.score()?))
     }
 
-    /// The truth of what was seen in a slot, as a report.
+    /// Returns the truth of the acquired tiles of a slot, as a report.
     fn truth_seen(&self, py: Python<'_>, slot: usize, running: Running) -> PyResult<String> {
         self.of(py, slot, running, |episode| Ok(episode.truth_seen()?.report()))
     }
 
-    /// The whole overview in units of tiles that `overview` pixels show, put together window by window: for pictures.
+    /// Returns the central part of the overview, with `size` pixels along each axis, for pictures.
     fn overview<'py>(
         &self,
         py: Python<'py>,
@@ -430,7 +430,7 @@ impl Episodes {
     }
 }
 
-/// Passes on only the wish to stop, and warnings.
+/// Passes on interrupts and warnings, but no progress.
 struct WithoutProgress<'a>(&'a LongCall);
 
 impl stemgen::progress::Progress for WithoutProgress<'_> {
@@ -445,7 +445,7 @@ impl stemgen::progress::Progress for WithoutProgress<'_> {
     }
 }
 
-/// The numbers that [`DoseCurve`] makes of records (share of the budget, score), as JSON.
+/// Computes the metrics of a [`DoseCurve`] from records (share of the budget, score). Returns them as JSON.
 #[pyfunction]
 pub fn dose_metrics(
     py: Python<'_>,

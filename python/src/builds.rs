@@ -1,4 +1,4 @@
-//! Worlds are built and planned.
+//! Builds and plans worlds.
 
 use crate::errors::Fault;
 use crate::long_call::{LongCall, Running, run};
@@ -17,10 +17,10 @@ use stemgen::simulation;
 use stemgen::world::footprint::PICTURE;
 use stemgen::world::{BuildMethod, BuildOptions, BuildProfile, Companion, WorldBuild, WorldPlan};
 
-/// Regions that a build may audit.
+/// Greatest number of regions that a build may audit.
 const MOST_REGIONS: usize = 1000;
 
-/// How a world is built.
+/// The options of a build.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Building {
@@ -40,12 +40,12 @@ pub struct Building {
     cache: CacheChoice,
     subtile_nm: Option<f64>,
     subtile_overlap_nm: Option<f64>,
-    /// Also a picture beside the file.
+    /// Also write a picture beside the file.
     png: bool,
     force: bool,
 }
 
-/// The user's cache, none, or a folder.
+/// The choice of a cache: the user's cache, none, or a folder.
 #[derive(FromPyObject)]
 pub enum CacheChoice {
     #[pyo3(transparent)]
@@ -55,7 +55,7 @@ pub enum CacheChoice {
 }
 
 impl CacheChoice {
-    /// The cache.
+    /// Returns the chosen cache.
     pub fn cache(&self) -> Cache {
         match self {
             CacheChoice::Used(true) => Cache::of_user(),
@@ -65,7 +65,7 @@ impl CacheChoice {
     }
 }
 
-/// The method of a name.
+/// Returns the method with a name.
 fn method(name: &str) -> Result<BuildMethod, Fault> {
     let known = [
         ("auto", BuildMethod::Auto),
@@ -145,13 +145,13 @@ impl Building {
     }
 }
 
-/// Builds a world; returns what was built as JSON.
+/// Builds a world. Returns its summary as JSON.
 #[pyfunction]
 pub fn build_world(py: Python<'_>, options: Building, running: Running) -> PyResult<String> {
     run(py, running, move |call| options.run(call))
 }
 
-/// Makes part `shard[0]` (from 0) of `shard[1]` of what a world takes; returns what was done as JSON.
+/// Makes part `shard[0]` (from 0) of `shard[1]` parts of a world. Returns a summary as JSON.
 #[pyfunction]
 pub fn build_part(
     py: Python<'_>,
@@ -162,7 +162,7 @@ pub fn build_part(
     run(py, running, move |call| options.run_part(shard, call))
 }
 
-/// What a build would do and take, as JSON. Nothing is simulated or written.
+/// Estimates size, memory and time of a build. Returns them as JSON. Writes no file.
 #[pyfunction]
 pub fn plan_build(py: Python<'_>, options: Building, running: Running) -> PyResult<String> {
     run(py, running, move |_| {

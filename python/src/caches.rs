@@ -1,4 +1,4 @@
-//! The cache of the simulations that worlds share, and the library that comes along.
+//! The cache of the simulations that worlds share, and the supplied library.
 
 use crate::errors::{Fault, Told};
 use crate::long_call::{Running, run};
@@ -12,7 +12,7 @@ use stemgen::imaging::mosaic::library_archive;
 use stemgen::imaging::{Cache, SuppliedLibrary};
 use stemgen::world::{BuildOptions, WorldBuild};
 
-/// Writes what the user's cache holds of a material, or all, to a file; returns what that holds as JSON.
+/// Writes the simulations of a material, or all, from the user's cache to a file. Returns the file's contents as JSON.
 #[pyfunction]
 pub fn cache_export(
     py: Python<'_>,
@@ -30,7 +30,7 @@ pub fn cache_export(
     })
 }
 
-/// Takes the images of a file into the user's cache; returns what it holds as JSON.
+/// Copies the images of a file into the user's cache. Returns the file's contents as JSON.
 #[pyfunction]
 pub fn cache_import(py: Python<'_>, path: PathBuf, running: Running) -> PyResult<String> {
     run(py, running, move |call| {
@@ -39,25 +39,25 @@ pub fn cache_import(py: Python<'_>, path: PathBuf, running: Running) -> PyResult
     })
 }
 
-/// The folder of the user's cache.
+/// Returns the folder of the user's cache.
 #[pyfunction]
 pub fn cache_folder() -> Option<PathBuf> {
     Cache::of_user().folder().map(Path::to_owned)
 }
 
-/// Says where the library is that comes along with the package.
+/// Sets the folder of the supplied library.
 #[pyfunction]
 pub fn set_library(folder: PathBuf) {
     SuppliedLibrary::set_of_program(folder);
 }
 
-/// The folder of the library that comes along.
+/// Returns the folder of the supplied library.
 #[pyfunction]
 pub fn library_folder() -> Option<PathBuf> {
     SuppliedLibrary::of_program().map(|library| library.folder().to_owned())
 }
 
-/// What the library that comes along holds: material, images, bytes.
+/// Lists the contents of the supplied library: material, images, bytes.
 #[pyfunction]
 pub fn library_list(py: Python<'_>) -> Holdings {
     let held = py.detach(|| SuppliedLibrary::of_program().map(|library| library.holdings()));
@@ -66,14 +66,14 @@ pub fn library_list(py: Python<'_>) -> Holdings {
 
 type Holdings = Vec<(String, usize, u64)>;
 
-/// What the user's cache holds: material, images, bytes.
+/// Lists the contents of the user's cache: material, images, bytes.
 #[pyfunction]
 pub fn cache_list(py: Python<'_>) -> PyResult<Holdings> {
     let held = py.detach(|| Cache::of_user().holdings()).or_raise(py)?;
     Ok(held.into_iter().map(|h| (h.material, h.images, h.bytes)).collect())
 }
 
-/// Removes what the user's cache holds of a material, or all; returns what was removed.
+/// Removes the simulations of a material, or all, from the user's cache. Returns the removed ones.
 #[pyfunction]
 pub fn cache_clear(py: Python<'_>, material: Option<String>) -> PyResult<Holdings> {
     let removed = py.detach(|| -> Result<Holdings, Fault> {
@@ -87,7 +87,7 @@ pub fn cache_clear(py: Python<'_>, material: Option<String>) -> PyResult<Holding
     removed.or_raise(py)
 }
 
-/// Refuses a material of which the cache, and with `supplied` the library that comes along, has nothing.
+/// Refuses a material without images in the cache, and with `supplied` also in the supplied library.
 fn check_known(cache: &Cache, material: Option<&str>, supplied: bool) -> Result<(), Fault> {
     let Some(name) = material else { return Ok(()) };
     let library = cache.supplied_library().filter(|_| supplied);
@@ -104,10 +104,10 @@ fn check_known(cache: &Cache, material: Option<&str>, supplied: bool) -> Result<
     Err(Fault::Value(Setting::Material, name.into(), expected))
 }
 
-/// Images of a library, of them simulated now, and lacking.
+/// Numbers of images of a library: all, simulated by this call, and still missing.
 type Filling = (usize, usize, usize);
 
-/// Makes part `shard[0]` (from 0) of `shard[1]` of the simulations that worlds of a recipe share; none where they share nothing.
+/// Makes part `shard[0]` (from 0) of `shard[1]` parts of the simulations that worlds of a recipe share. Some recipes share none.
 #[pyfunction]
 pub fn cache_fill(
     py: Python<'_>,
@@ -128,12 +128,13 @@ pub fn cache_fill(
     })
 }
 
-/// Files of damaged images with what is wrong with them.
+/// Files of damaged images, and descriptions of the damage.
 type Damaged = Vec<(PathBuf, &'static str)>;
-/// Names of images, the greatest difference, and whether it is rounding.
+/// Names of images, the greatest difference, and whether it is a rounding error.
 type Again = Vec<(String, f64, bool)>;
 
-/// Reads the images of a material, or all; simulates some of a recipe again. Returns numbers of images in the cache and the library.
+/// Reads the images of a material, or all, and simulates some images of a recipe again. Returns the numbers of images in the cache and the
+/// library.
 #[pyfunction]
 pub fn cache_verify(
     py: Python<'_>,
@@ -169,7 +170,7 @@ pub fn cache_verify(
     })
 }
 
-/// The build of a world as it comes.
+/// Returns a build with default options.
 fn build_of(toml: &str, cache: Cache) -> Result<WorldBuild, Fault> {
     Ok(WorldBuild::new(&checked(toml)?, &BuildOptions { cache, ..BuildOptions::default() })?)
 }

@@ -19,21 +19,21 @@ use stemgen::validate::suite::{Case, selected};
 use stemgen::validate::worlds::compare;
 use stemgen::world::{AuditJob, WorldEngine};
 
-/// A recipe, or a world and with it how it was made.
+/// A recipe, or a world, whose file contains its recipe.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Field {
     toml: Option<String>,
     pub world: Option<PathBuf>,
-    /// Changes of [acquisition] of a world's recipe: `key=value`.
+    /// Changes of the table [acquisition] of a world's recipe: `key=value`.
     acquisition: Vec<String>,
 }
 
 impl Field {
-    /// The recipe, and how the world was made if there is one.
+    /// Returns the recipe and, for a world, the engine of its build.
     ///
     /// # Errors
-    /// Those of recipe and file.
+    /// Errors of the recipe and the file.
     pub fn resolve(&self) -> Result<(CheckedRecipe, Option<WorldEngine>), Fault> {
         let (recipe, made) = match (&self.world, &self.toml) {
             (Some(path), _) => {
@@ -51,7 +51,7 @@ impl Field {
     }
 }
 
-/// What is audited.
+/// The options of an audit.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Auditing {
@@ -66,7 +66,7 @@ pub struct Auditing {
     force: bool,
 }
 
-/// Simulates regions of a world exactly, and compares; JSON.
+/// Simulates regions of a world exactly, and compares them. Returns JSON.
 #[pyfunction]
 pub fn audit_field(py: Python<'_>, options: Auditing, running: Running) -> PyResult<String> {
     run(py, running, move |call| {
@@ -89,7 +89,7 @@ pub fn audit_field(py: Python<'_>, options: Auditing, running: Running) -> PyRes
     })
 }
 
-/// Runs cases of the validation; JSON. `out` gets a page (HTML).
+/// Runs cases of the validation. Returns JSON. Writes a page (HTML) to `out`.
 #[pyfunction]
 pub fn validate_suite(
     py: Python<'_>,
@@ -119,7 +119,7 @@ pub fn validate_suite(
     })
 }
 
-/// Cases of the validation: name, title, whether it is quick, seconds on two cores.
+/// Lists the cases of the validation: name, title, whether it is quick, seconds on two cores.
 #[pyfunction]
 pub fn validation_cases(py: Python<'_>) -> PyResult<Vec<(String, String, bool, f64)>> {
     let cases = selected(&[], false).or_raise(py)?;
@@ -127,7 +127,7 @@ pub fn validation_cases(py: Python<'_>) -> PyResult<Vec<(String, String, bool, f
     Ok(cases.into_iter().map(row).collect())
 }
 
-/// Compares two worlds by their statistics; JSON. `out` gets a page (HTML).
+/// Compares two worlds by their statistics. Returns JSON. Writes a page (HTML) to `out`.
 #[pyfunction]
 pub fn compare_worlds(
     py: Python<'_>,
@@ -153,7 +153,7 @@ pub fn compare_worlds(
     })
 }
 
-/// Whether a world agrees with itself; JSON.
+/// Checks the consistency of a world file. Returns JSON.
 #[pyfunction]
 pub fn verify_world(py: Python<'_>, path: PathBuf, running: Running) -> PyResult<String> {
     run(py, running, move |call| Ok(serde_json::to_string(&check_world(&path, call)?)?))

@@ -1,21 +1,21 @@
-//! Errors of the library as exceptions: `stemworlds.errors` makes them.
+//! Converts errors of the library to exceptions, which `stemworlds.errors` makes.
 
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
 use stemgen::{Error, Setting};
 
-/// Number of the system's error for a file that is there already.
+/// The system's error number for a file that exists already.
 const EXISTS: i32 = 17;
 
-/// What went wrong in Rust.
+/// A fault in Rust code.
 #[derive(Debug)]
 pub enum Fault {
-    /// The library says so.
+    /// An error of the library.
     Library(Box<Error>),
-    /// A value that the package itself refuses: setting, value, what is expected.
+    /// A value that this module refuses: setting, value, expected values.
     Value(Setting, String, String),
-    /// What was asked for cannot be done.
+    /// A request that cannot be fulfilled, with the message.
     Words(String),
     /// A fault of the program.
     Internal(String),
@@ -33,7 +33,7 @@ impl From<serde_json::Error> for Fault {
     }
 }
 
-/// What `stemworlds.errors` needs to know.
+/// The facts that `stemworlds.errors` needs.
 #[derive(Default)]
 struct Facts {
     kind: &'static str,
@@ -96,7 +96,7 @@ impl Facts {
     }
 }
 
-/// The number of the system's error, also where the library made the error itself.
+/// Returns the system's error number, also for an error that the library made.
 fn errno(source: &std::io::Error) -> Option<i32> {
     use std::io::ErrorKind::{AlreadyExists, IsADirectory, NotFound, PermissionDenied};
     let of_kind = || match source.kind() {
@@ -109,7 +109,7 @@ fn errno(source: &std::io::Error) -> Option<i32> {
     source.raw_os_error().or_else(of_kind)
 }
 
-/// The exception for a fault.
+/// Makes the exception for a fault.
 pub fn error(py: Python<'_>, fault: Fault) -> PyErr {
     let Facts { kind, message, setting, path, errno } = Facts::of(&fault);
     if kind == "interrupted" {
@@ -126,15 +126,15 @@ pub fn error(py: Python<'_>, fault: Fault) -> PyErr {
     }
 }
 
-/// Names of all settings of the library: for the test that each has a keyword.
+/// Returns the names of all settings of the library, for the test that each has a keyword.
 #[pyfunction]
 pub fn settings() -> Vec<String> {
     Setting::ALL.iter().map(|setting| format!("{setting:?}")).collect()
 }
 
-/// Passes on what short calls return.
+/// Converts the results of short calls for Python.
 pub trait Told<T> {
-    /// The value, or the exception.
+    /// Returns the value, or the exception.
     ///
     /// # Errors
     /// The fault as an exception.

@@ -1,4 +1,4 @@
-//! Images to files of other programs.
+//! Writes images to files of other programs.
 
 use crate::errors::{Fault, Told};
 use ndarray::Array3;
@@ -29,7 +29,7 @@ pub struct StackOptions {
     electrons_per_pixel: Option<f64>,
 }
 
-/// What a file for HyperSpy says of its images.
+/// The metadata of images in a file for HyperSpy.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct HspyOptions {
@@ -41,7 +41,7 @@ pub struct HspyOptions {
     settings: Option<String>,
 }
 
-/// (thickness, y, x).
+/// Images as an array (thickness, y, x).
 pub struct StackData(Array3<f32>);
 
 impl<'a, 'py> FromPyObject<'a, 'py> for StackData {
@@ -74,7 +74,7 @@ impl StackOptions {
     }
 }
 
-/// Writes images for HyperSpy.
+/// Writes images to a file for HyperSpy.
 #[pyfunction]
 pub fn save_hspy(
     py: Python<'_>,
@@ -100,7 +100,7 @@ pub fn save_hspy(
     written.or_raise(py)
 }
 
-/// Writes images as one TIFF of 8, 16 or 32 bits: one image, or those of a series.
+/// Writes one image, or the images of a series, as one TIFF of 8, 16 or 32 bits.
 #[pyfunction]
 pub fn save_tiff(
     py: Python<'_>,

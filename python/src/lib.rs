@@ -1,7 +1,7 @@
 //! The extension module of `stemworlds`: thin glue between Python and the library.
 //!
-//! Python gives all options, in dicts; what is told of them is in the package's own sources (`stemworlds/`). Long calls run as
-//! `long_call` says; errors are made by `stemworlds.errors`.
+//! Python passes all options in dicts, which the package's Python sources (`stemworlds/`) document. Long calls run by `long_call`;
+//! `stemworlds.errors` makes the exceptions.
 
 mod bench;
 mod builds;

@@ -18,7 +18,7 @@ use stemgen::recipe::{CheckedRecipe, Region};
 use stemgen::specimen::SiteKind;
 use stemgen::world::{BuildOptions, ColumnTruth, RecordingRequest, SiteTruth};
 
-/// What a live world is made of.
+/// The options of a live world.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Living {
@@ -27,7 +27,7 @@ pub struct Living {
     cache: CacheChoice,
 }
 
-/// A live world. One call at a time works on it.
+/// A live world. Its calls run one after the other.
 #[pyclass(frozen, module = "stemworlds._core")]
 pub struct LiveField {
     world: Arc<Mutex<LiveWorld>>,
@@ -37,7 +37,7 @@ fn locked(world: &Mutex<LiveWorld>) -> MutexGuard<'_, LiveWorld> {
     world.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Refuses a region that is turned around, empty, or no region at all.
+/// Refuses a region that is reversed or empty, or has an edge that is no number.
 fn checked_region([x0, y0, x1, y1]: [f64; 4]) -> Result<(), Fault> {
     let ordered = x0 < x1 && y0 < y1 && [x0, y0, x1, y1].iter().all(|v| v.is_finite());
     if ordered {
@@ -47,7 +47,7 @@ fn checked_region([x0, y0, x1, y1]: [f64; 4]) -> Result<(), Fault> {
     Err(Fault::Value(Setting::Region, format!("{x0}, {y0}, {x1}, {y1}"), expected))
 }
 
-/// The pixels of the built field that a region (left, upper, right and lower edge in nm) touches, counted in the full field.
+/// Returns the pixels of the built field that a region (left, upper, right and lower edge in nm) touches, counted in the full field.
 fn pixels(recipe: &CheckedRecipe, region: [f64; 4]) -> Result<PixelRect, Fault> {
     let (field, [x0, y0, x1, y1]) = (&recipe.field, region);
     let (pixel, first) = (field.pixel_nm(), field.crop_origin_px());
@@ -67,7 +67,7 @@ fn pixels(recipe: &CheckedRecipe, region: [f64; 4]) -> Result<PixelRect, Fault> 
     Ok(PixelRect::new(first, [rows.len(), columns.len()]))
 }
 
-/// Sites and columns as dicts of arrays.
+/// Returns sites and columns as dicts of arrays.
 fn truth(
     py: Python<'_>,
     sites: &[SiteTruth],
@@ -108,7 +108,7 @@ impl LiveField {
         Ok(LiveField { world: Arc::new(Mutex::new(world)) })
     }
 
-    /// The noise-free image of a region and what is there: a dict.
+    /// Returns the noise-free image and the truth of a region, in a dict.
     fn look(&self, py: Python<'_>, region: [f64; 4], running: Running) -> PyResult<Py<PyDict>> {
         let world = Arc::clone(&self.world);
         let tile = run(py, running, move |_| {
@@ -123,7 +123,7 @@ impl LiveField {
         Ok(out.unbind())
     }
 
-    /// Records a place, and changes it: as `record_field`.
+    /// Records a place as `record_field` does, and changes the specimen.
     fn acquire(
         &self,
         py: Python<'_>,
@@ -147,7 +147,7 @@ impl LiveField {
         as_dict(py, recording)
     }
 
-    /// What is in a region now: a dict.
+    /// Returns the present truth of a region, in a dict.
     fn truth(&self, py: Python<'_>, region: [f64; 4]) -> PyResult<Py<PyDict>> {
         let [x0, y0, x1, y1] = region;
         checked_region(region).or_raise(py)?;
@@ -158,7 +158,7 @@ impl LiveField {
         Ok(out.unbind())
     }
 
-    /// The mean dose of a region in electrons per square Angstrom.
+    /// Returns the mean dose of a region in electrons per square Angstrom.
     fn dose(&self, py: Python<'_>, region: [f64; 4]) -> PyResult<f64> {
         let [x0, y0, x1, y1] = region;
         checked_region(region).or_raise(py)?;
@@ -166,19 +166,19 @@ impl LiveField {
         Ok(py.detach(|| locked(&self.world).mean_dose(&region)))
     }
 
-    /// All recordings, as JSON.
+    /// Returns all recordings as JSON.
     fn history(&self, py: Python<'_>) -> PyResult<String> {
         let text = py.detach(|| serde_json::to_string(locked(&self.world).history()));
         text.map_err(Fault::from).or_raise(py)
     }
 
-    /// What has been done so far, as JSON.
+    /// Returns the present state as JSON.
     fn snapshot(&self, py: Python<'_>) -> PyResult<String> {
         let text = py.detach(|| serde_json::to_string(&locked(&self.world).snapshot()));
         text.map_err(Fault::from).or_raise(py)
     }
 
-    /// Goes to a moment that [`LiveField::snapshot`] told.
+    /// Restores a state from [`LiveField::snapshot`].
     fn restore(&self, py: Python<'_>, snapshot: &str) -> PyResult<()> {
         let restore = || -> Result<(), Fault> {
             let snapshot: LiveSnapshot = serde_json::from_str(snapshot).map_err(|e| {
@@ -190,7 +190,7 @@ impl LiveField {
         py.detach(restore).or_raise(py)
     }
 
-    /// The recipe, with its seed, as TOML.
+    /// Returns the recipe, with its seed, as TOML.
     fn recipe(&self, py: Python<'_>) -> String {
         py.detach(|| locked(&self.world).recipe().to_toml())
     }

@@ -1,8 +1,8 @@
-//! Long calls from Python, in a process that belongs to somebody else.
+//! Runs long calls from Python in a process that belongs to the caller.
 //!
-//! Work runs on a thread of its own in a pool of its own, which both end with the call: nothing of the process is touched, and
-//! nothing outlives a fork. Meanwhile the calling thread, without the interpreter's lock, looks ten times a second whether the
-//! user wants to stop, and reports progress.
+//! The work runs on a new thread with a new pool, which both end with the call. It therefore changes nothing in the process, and no pool is
+//! left for a fork. Meanwhile the calling thread releases the interpreter's lock, checks for signals ten times a second, and reports
+//! progress.
 
 use crate::errors::{Fault, error};
 use pyo3::prelude::*;
@@ -14,29 +14,29 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use stemgen::progress::Progress;
 
-/// How often signals are looked for, and progress is reported.
+/// Time between two checks for signals and reports of progress.
 const LOOK: Duration = Duration::from_millis(100);
-/// How long work that was asked to stop is waited for. It then ends by itself, at its next look.
+/// Longest wait for interrupted work. After this time the call returns, and the work ends at its next check.
 const GRACE: Duration = Duration::from_millis(700);
 
-/// How a call runs.
+/// Threads and progress of a call.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Running {
     /// Number of threads; all processors when `None`.
     threads: Option<usize>,
-    /// Called with (stage, unit, done, total); `None` reports nothing.
+    /// Is called with (stage, unit, done, total). `None` for no reports.
     progress: Option<Py<PyAny>>,
 }
 
-/// What happened that the caller hears of.
+/// An event that is reported to the caller.
 enum Event {
     Start { stage: String, unit: String, total: u64 },
     Finish,
     Warning(String),
 }
 
-/// Passes on what the library reports, and the wish to stop.
+/// Passes reports of the library to the caller, and interrupts to the library.
 pub struct LongCall {
     stop: AtomicBool,
     done: AtomicU64,
@@ -45,7 +45,7 @@ pub struct LongCall {
 
 impl LongCall {
     fn tell(&self, event: Event) {
-        // Nobody listens any more after an interrupt.
+        // After an interrupt there may be no receiver, so a failed send is no error.
         let _ = self.events.send(event);
     }
 }
@@ -69,14 +69,14 @@ impl Progress for LongCall {
     }
 }
 
-/// The stage that is told of.
+/// The reported stage.
 struct StageText {
     stage: String,
     unit: String,
     total: u64,
 }
 
-/// What the calling thread does meanwhile.
+/// The calling thread's side of a call: receives events, and reports them to Python.
 struct Listener {
     call: Arc<LongCall>,
     events: Receiver<Event>,
@@ -85,7 +85,7 @@ struct Listener {
 }
 
 impl Listener {
-    /// Passes on all that has happened.
+    /// Reports all events so far to Python.
     fn listen(&mut self, py: Python<'_>) -> PyResult<()> {
         while let Ok(event) = self.events.try_recv() {
             match event {
@@ -120,7 +120,7 @@ fn warn(py: Python<'_>, message: &str) -> PyResult<()> {
 
 type Outcome<T> = Result<Result<T, Fault>, Box<dyn Any + Send>>;
 
-/// Runs `work` as [the module](self) says. What it takes is its own, so that an interrupted call can return at once.
+/// Runs `work` as described for [the module](self). `work` owns its data, so that an interrupted call can return at once.
 pub fn run<T, W>(py: Python<'_>, running: Running, work: W) -> PyResult<T>
 where
     T: Send + 'static,
@@ -128,7 +128,7 @@ where
 {
     let (events, heard) = channel();
     let call = Arc::new(LongCall { stop: AtomicBool::new(false), done: AtomicU64::new(0), events });
-    // Only so that the interpreter's lock can be given up around it.
+    // The mutex makes the receiver shareable, which releasing the interpreter's lock requires.
     let ended = Mutex::new(start(call.clone(), running.threads, work)?);
     let mut listener = Listener { call, events: heard, running, stage: None };
     let mut asked: Option<(PyErr, Instant)> = None;
@@ -156,7 +156,7 @@ where
     }
 }
 
-/// Starts the work; what it comes to is sent when it ends.
+/// Starts the work. Its result is sent when it ends.
 fn start<T, W>(
     call: Arc<LongCall>,
     threads: Option<usize>,

@@ -1,4 +1,4 @@
-//! Diffraction patterns of scans.
+//! Simulates, reads and writes the diffraction patterns of scans.
 
 use crate::errors::{Fault, Told};
 use crate::long_call::{LongCall, Running, run};
@@ -20,13 +20,13 @@ use stemgen::render::html::CubePage;
 use stemgen::setting::Setting;
 use stemgen::simulation::{PatternBand, PatternValues};
 
-/// Patterns of one defocus and thickness; electrons where they were counted.
+/// Patterns of one defocus and thickness: fractions of the beam, or counted electrons.
 enum Cube {
     Fractions(Array4<f32>),
     Counts(Array4<u32>),
 }
 
-/// Simulates the patterns of a scan: a list of dicts, by defocus, then thickness, with `data` (y, x, ky, kx) and what describes it.
+/// Simulates the patterns of a scan. Returns a list of dicts, by defocus, then thickness, with `data` (y, x, ky, kx) and its header.
 #[pyfunction]
 pub fn simulate_patterns(
     py: Python<'_>,
@@ -72,7 +72,7 @@ pub fn simulate_patterns(
     cubes.into_iter().map(dict).collect()
 }
 
-/// Simulates the patterns of a scan into files; returns their paths.
+/// Simulates the patterns of a scan, and writes them to files. Returns their paths.
 #[pyfunction]
 pub fn write_patterns(
     py: Python<'_>,
@@ -119,7 +119,7 @@ impl PatternReader {
         read().or_raise(py)
     }
 
-    /// What describes the patterns, and `vacuum`.
+    /// Returns the header of the patterns, with `vacuum`.
     fn header<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let out = described(py, self.0.header())?;
         let vacuum = self.0.vacuum().map_err(Fault::from).or_raise(py)?;
@@ -143,7 +143,7 @@ impl PatternReader {
         })
     }
 
-    /// The patterns of rows `first` to `end`, itself not read.
+    /// Returns the patterns of the rows from `first` to `end`, without `end`.
     fn rows<'py>(
         &self,
         py: Python<'py>,
@@ -181,7 +181,7 @@ fn empty(h: &PatternHeader) -> Cube {
 }
 
 impl Cube {
-    /// Puts the rows of a thickness where they belong.
+    /// Copies the rows of a thickness to their places.
     fn put(&mut self, band: &PatternBand<'_>, thickness: usize) {
         match (self, &band.values) {
             (Cube::Fractions(data), PatternValues::Fractions(values)) => {
@@ -194,7 +194,7 @@ impl Cube {
                 let at = band.first_row..band.first_row + rows.dim().0;
                 data.slice_mut(s![at, .., .., ..]).assign(&rows);
             }
-            // A job counts all of its patterns, or none.
+            // A job counts electrons in all of its patterns or in none, so the other cases do not occur.
             _ => {}
         }
     }
@@ -215,7 +215,7 @@ fn write_page(
     Ok(page.page(rows, call)?.write(out)?)
 }
 
-/// Where patterns in memory stand, and what they are; lengths and places are (x, y).
+/// Axes and parameters of patterns in memory. Pairs of lengths are (x, y).
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct CubeAxes {
@@ -263,7 +263,7 @@ pub fn write_pattern_page(
     })
 }
 
-/// The integrated centre of mass in radians of images of it (x, y) in mrad.
+/// Integrates images of the centre of mass (x, y) in mrad. Returns the result in radians.
 #[pyfunction]
 pub fn integrated_centre_of_mass<'py>(
     py: Python<'py>,
@@ -278,8 +278,8 @@ pub fn integrated_centre_of_mass<'py>(
     Ok(found.map_err(Fault::from).or_raise(py)?.into_pyarray(py))
 }
 
-/// The share of each pixel's area on a ring, or on a sector of one; of `detector` pixels along an edge, the largest angle, and the width
-/// of rings that are in their place.
+/// Returns the share of each pixel's area on a ring, or on a sector of it. `detector` holds the number of pixels along an edge, the largest
+/// angle, and the width of rings, if patterns are sums over rings.
 #[pyfunction]
 pub fn detector_weights<'py>(
     py: Python<'py>,

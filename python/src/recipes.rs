@@ -1,4 +1,4 @@
-//! Recipes travel as TOML: resolved and checked, with their crystals in them.
+//! Resolves and checks recipes. Python holds a recipe as TOML that contains its crystals.
 
 use crate::errors::{Fault, Told};
 use pyo3::prelude::*;
@@ -9,24 +9,24 @@ use stemgen::{Error, Setting};
 
 use crate::words::choice;
 
-/// Where a recipe is.
+/// The source of a recipe.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct RecipeSource {
-    /// Of a recipe that comes with the library.
+    /// Name of a shipped recipe.
     name: Option<String>,
-    /// Of a TOML file, or of a file of atoms.
+    /// Path of a TOML file, or of a file of atoms.
     path: Option<PathBuf>,
-    /// TOML; files of crystals are looked for in the current folder.
+    /// TOML. Paths of crystals are relative to the current folder.
     text: Option<String>,
     difficulty: Option<String>,
 }
 
-/// What is changed of it.
+/// Changes of a recipe.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Changes {
-    /// `key=value`, in TOML; or a key alone, which is taken out.
+    /// `key=value`, in TOML; or a key alone, which is removed.
     set: Vec<String>,
     grid: Option<[usize; 2]>,
     seed: Option<u64>,
@@ -38,7 +38,7 @@ pub struct Changes {
 const TIERS: [(&str, Difficulty); 3] =
     [("easy", Difficulty::Easy), ("medium", Difficulty::Medium), ("hard", Difficulty::Hard)];
 
-/// The profile of a name.
+/// Returns the profile with a name.
 pub fn profile(name: &str) -> Result<Profile, Fault> {
     let known = [("ideal", Profile::Ideal), ("routine", Profile::Routine), ("poor", Profile::Poor)];
     choice(Setting::Acquisition, name, &known)
@@ -89,7 +89,7 @@ impl Changes {
     }
 }
 
-/// Resolves, changes and checks a recipe; returns it as TOML.
+/// Resolves, changes and checks a recipe. Returns it as TOML.
 #[pyfunction]
 pub fn resolve_recipe(py: Python<'_>, source: RecipeSource, changes: Changes) -> PyResult<String> {
     let resolved = py.detach(|| -> Result<String, Fault> {
@@ -98,15 +98,15 @@ pub fn resolve_recipe(py: Python<'_>, source: RecipeSource, changes: Changes) ->
     resolved.or_raise(py)
 }
 
-/// A resolved recipe.
+/// Reads a resolved recipe.
 ///
 /// # Errors
-/// Those of the recipe.
+/// Errors of the recipe.
 pub fn checked(toml: &str) -> Result<CheckedRecipe, Fault> {
     Ok(Recipe::from_toml_str("recipe", toml, None)?.checked()?)
 }
 
-/// Recipes that come with the library, with their tiers.
+/// Lists the shipped recipes with their tiers.
 #[pyfunction]
 pub fn recipes(py: Python<'_>) -> PyResult<Vec<(String, Vec<String>)>> {
     let tiers = |name: &'static str| {
@@ -117,7 +117,7 @@ pub fn recipes(py: Python<'_>) -> PyResult<Vec<(String, Vec<String>)>> {
     all.or_raise(py)
 }
 
-/// What follows from a recipe: a dict of pixels, field and places.
+/// Returns the derived values of a recipe: a dict of pixels, field and places.
 #[pyfunction]
 pub fn describe_recipe(py: Python<'_>, toml: &str) -> PyResult<String> {
     let recipe = checked(toml).or_raise(py)?;

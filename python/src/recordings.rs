@@ -1,4 +1,4 @@
-//! Recordings of a place, with the errors of scan and detector.
+//! Records a place with the errors of scan and detector.
 
 use crate::builds::CacheChoice;
 use crate::checks::Field;
@@ -15,7 +15,7 @@ use stemgen::files::outputs::check_outputs;
 use stemgen::progress::Progress;
 use stemgen::world::{ColumnTruth, FieldRecording, RecordingJob, RecordingRequest};
 
-/// What is recorded, and how.
+/// The options of a recording.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Recording {
@@ -42,7 +42,7 @@ impl Recording {
     }
 }
 
-/// Tells of pixels that the converter cut off.
+/// Warns of pixels that the converter clipped.
 pub fn warn_of_clipping(recording: &FieldRecording, progress: &dyn Progress) {
     let [rows, columns] = recording.frame.shape;
     let pixels = rows * columns * recording.exposure.frames;
@@ -52,14 +52,14 @@ pub fn warn_of_clipping(recording: &FieldRecording, progress: &dyn Progress) {
     }
 }
 
-/// Records a place: a dict of arrays and numbers.
+/// Records a place. Returns a dict of arrays and numbers.
 #[pyfunction]
 pub fn record_field(py: Python<'_>, options: Recording, running: Running) -> PyResult<Py<PyDict>> {
     let recording = run(py, running, move |call| options.record(call))?;
     as_dict(py, recording)
 }
 
-/// Columns: places in nm, sites, vacancies and substitutions, compositions.
+/// Adds the columns to a dict: places in nm, sites, vacancies and substitutions, compositions.
 pub fn tell_columns(
     py: Python<'_>,
     columns: &[ColumnTruth],
@@ -74,7 +74,7 @@ pub fn tell_columns(
     out.set_item("compositions", compositions)
 }
 
-/// A recording as a dict of arrays and numbers.
+/// Converts a recording to a dict of arrays and numbers.
 pub fn as_dict(py: Python<'_>, recording: FieldRecording) -> PyResult<Py<PyDict>> {
     let out = PyDict::new(py);
     tell_columns(py, &recording.columns, &out)?;

@@ -1,4 +1,4 @@
-//! Worlds of recorded images.
+//! Makes worlds from recorded images.
 
 use crate::long_call::{Running, run};
 use pyo3::prelude::*;
@@ -7,7 +7,7 @@ use stemgen::files::outputs::check_outputs;
 use stemgen::io::recorded::{self, ImageChoice};
 use stemgen::replay::{ReplayOptions, ReplayWorld};
 
-/// What becomes a world, and how.
+/// The options of an import.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Importing {
@@ -21,7 +21,7 @@ pub struct Importing {
     contrast: [f64; 2],
 }
 
-/// Makes a world of a recorded image; returns what it holds as JSON.
+/// Makes a world from a recorded image. Returns its summary as JSON.
 #[pyfunction]
 pub fn import_image(py: Python<'_>, options: Importing, running: Running) -> PyResult<String> {
     run(py, running, move |call| {

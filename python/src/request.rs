@@ -1,4 +1,4 @@
-//! What Python asks to be simulated: the request of the library, read from a dict, and atoms in arrays.
+//! Reads requests for simulations from Python: a request of the library from a dict, and atoms from arrays.
 
 use crate::errors::Fault;
 use ndarray::Array2;
@@ -11,10 +11,10 @@ use stemgen::Setting;
 use stemgen::simulation::{AtomsSource, SimulationJob, SimulationRequest};
 use stemgen::structure::{Atom, Structure, elements};
 
-/// A value of the library as a dict; what is not given has the library's default.
+/// A value of the library, read from a dict. Missing keys have the library's defaults.
 pub struct Parsed<T>(pub T);
 
-/// What is to be simulated.
+/// The request for a simulation.
 pub type Request = Parsed<SimulationRequest>;
 
 impl<'a, 'py, T: DeserializeOwned> FromPyObject<'a, 'py> for Parsed<T> {
@@ -38,10 +38,10 @@ impl<'a, 'py, T: DeserializeOwned> FromPyObject<'a, 'py> for Parsed<T> {
 }
 
 impl Request {
-    /// The simulation of the file that the request names, or of atoms at hand.
+    /// Returns the simulation of the file that the request names, or of `atoms`.
     ///
     /// # Errors
-    /// Those of the request and of the atoms.
+    /// Errors of the request and of the atoms.
     pub fn job(self, atoms: Option<&AtomArrays>) -> Result<SimulationJob, Fault> {
         let mut request = self.0;
         if let Some(atoms) = atoms {
@@ -56,15 +56,15 @@ impl Request {
 #[pyo3(from_item_all)]
 pub struct AtomArrays {
     numbers: Vec<u32>,
-    /// (atom, 3) in Angstrom.
+    /// Places of the atoms (atom, 3) in Angstrom.
     positions: Positions,
-    /// Rows are the vectors, in Angstrom.
+    /// Vectors of the cell as rows, in Angstrom.
     cell: [[f64; 3]; 3],
-    /// Share of each site that is occupied; all of it when `None`.
+    /// Occupied share of the site of each atom; `None` for full occupancy.
     occupancies: Option<Vec<f64>>,
 }
 
-/// (atom, 3).
+/// Places as an array (atom, 3).
 pub struct Positions(Array2<f64>);
 
 impl<'a, 'py> FromPyObject<'a, 'py> for Positions {
@@ -96,7 +96,7 @@ impl AtomArrays {
         let mut atoms = Vec::with_capacity(self.numbers.len());
         for (n, number) in self.numbers.iter().enumerate() {
             let occupancy = self.occupancies.as_ref().and_then(|o| o.get(n).copied());
-            // Known elements only.
+            // This conversion refuses numbers of unknown elements.
             let number = elements::atomic_number(&number.to_string())?;
             let position = [positions[(n, 0)], positions[(n, 1)], positions[(n, 2)]];
             atoms.push(Atom { occupancy: occupancy.unwrap_or(1.0), ..Atom::new(number, position) });

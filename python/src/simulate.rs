@@ -1,4 +1,4 @@
-//! Images of atoms.
+//! Simulates images of atoms.
 
 use crate::errors::{Fault, Told};
 use crate::long_call::{LongCall, Running, run};
@@ -12,7 +12,7 @@ use stemgen::engine::Plan;
 use stemgen::progress::Progress;
 use stemgen::simulation::{LengthUnit, SimulatedImage, SimulationJob};
 
-/// Passes warnings on, and refuses what takes more memory than is free unless `force`.
+/// Passes on warnings. Refuses a simulation that needs more memory than is free, unless `force` is set.
 pub(crate) fn check(job: &SimulationJob, force: bool, call: &LongCall) -> Result<(), Fault> {
     job.warnings().iter().for_each(|warning| call.warn(&warning.message));
     if !force {
@@ -21,7 +21,7 @@ pub(crate) fn check(job: &SimulationJob, force: bool, call: &LongCall) -> Result
     Ok(())
 }
 
-/// What all images of a plan share.
+/// Returns the facts that all images of a plan share.
 fn shared_facts<'py>(
     py: Python<'py>,
     job: &SimulationJob,
@@ -38,8 +38,8 @@ fn shared_facts<'py>(
     Ok(out)
 }
 
-/// Simulates. Returns a dict: `images`, a list of dicts with `name`, `data`, `counts`, `defocus_angstrom`, `annulus_mrad`; and what
-/// they share.
+/// Simulates images. Returns a dict with their shared facts, and with `images`, a list of dicts with `name`, `data`, `counts`,
+/// `defocus_angstrom`, `annulus_mrad`.
 #[pyfunction]
 pub fn simulate(
     py: Python<'_>,
@@ -77,8 +77,8 @@ pub fn simulate(
     Ok(out.unbind())
 }
 
-/// Simulates single probes at `places` (x, y) in `unit`. Returns a dict: `values`, a list of pairs of a name and an array (thickness,
-/// place); and what they share.
+/// Simulates single probes at `places` (x, y) in `unit`. Returns a dict with their shared facts, and with `values`, a list of pairs of a
+/// name and an array (thickness, place).
 #[pyfunction]
 pub fn simulate_places(
     py: Python<'_>,
@@ -115,7 +115,7 @@ pub fn simulate_places(
     Ok(out.unbind())
 }
 
-/// `"cell"`, `"nm"` or `"angstrom"`.
+/// A unit of length: `"cell"`, `"nm"` or `"angstrom"`.
 pub struct Unit(LengthUnit);
 
 impl<'a, 'py> FromPyObject<'a, 'py> for Unit {
@@ -133,8 +133,8 @@ impl<'a, 'py> FromPyObject<'a, 'py> for Unit {
     }
 }
 
-/// What a simulation would do and take, as JSON. Nothing is simulated but a sample of probes that
-/// chooses the engine, where that takes no more than two seconds.
+/// Estimates size, memory and time of a simulation. Returns them as JSON. To choose the engine it may simulate a sample of probes, for at
+/// most two seconds.
 #[pyfunction]
 pub fn plan_simulation(
     py: Python<'_>,
@@ -158,7 +158,7 @@ pub fn plan_simulation(
     })
 }
 
-/// What a plane wave becomes: a dict with `exit_waves` (configuration, y, x), and `images`, (y, x) for each defocus.
+/// Propagates a plane wave. Returns a dict with `exit_waves` (configuration, y, x), and `images`, (y, x) for each defocus.
 #[pyfunction]
 pub fn simulate_plane_wave(
     py: Python<'_>,
@@ -185,8 +185,8 @@ pub fn simulate_plane_wave(
     Ok(out.unbind())
 }
 
-/// The diffraction pattern of a probe at a place (x, y) in Angstrom: a dict with `data` (ky, kx) in FFT order, and the step (x, y) of
-/// its pixels in mrad.
+/// Simulates the diffraction pattern of a probe at a place (x, y) in Angstrom. Returns a dict with `data` (ky, kx) in FFT order, and the
+/// step (x, y) of its pixels in mrad.
 #[pyfunction]
 pub fn diffraction(
     py: Python<'_>,

@@ -1,4 +1,4 @@
-//! The atoms of a recipe's specimen.
+//! Lays out the atoms of a recipe's specimen.
 
 use crate::errors::Fault;
 use crate::long_call::{LongCall, Running, run};
@@ -15,7 +15,7 @@ use stemgen::specimen::{Sites, SurfaceLayers, specimen};
 use stemgen::world::draw_specimen;
 use stemgen::{Error, Setting};
 
-/// Sites one after the other.
+/// Sites in a list.
 #[derive(Default)]
 struct SiteLists {
     positions_nm: Vec<[f64; 3]>,
@@ -39,7 +39,7 @@ impl SiteLists {
         self.first_column += sites.columns.len();
     }
 
-    /// The carbon on the faces of a specimen in a region: pristine atoms of no column.
+    /// Adds the carbon on the faces of a specimen in a region, as pristine atoms without a column.
     fn add_layers(&mut self, layers: &SurfaceLayers, region: &Region, origin_nm: [f64; 2]) {
         for (layer, area) in layers.parts(region) {
             for atom in layer.atoms(&area) {
@@ -56,8 +56,8 @@ impl SiteLists {
     }
 }
 
-/// The lattice sites of a recipe's built field, in the order of the ground truth, or of a region (x0, y0, x1, y1) in nm: a dict of
-/// arrays. Positions count from the centre of the first built pixel, and along the beam from the face that it enters.
+/// Returns the lattice sites of a recipe's built field, in the order of the ground truth, or of a region (x0, y0, x1, y1) in nm, as a dict
+/// of arrays. Positions count from the centre of the first built pixel, and along the beam from the entrance face.
 #[pyfunction]
 pub fn specimen_sites(
     py: Python<'_>,
@@ -106,10 +106,10 @@ pub fn specimen_sites(
     Ok(out.unbind())
 }
 
-/// The rectangle of a field between corners given from its first built pixel, which lies at `origin` in the full field.
+/// Returns a rectangle of the full field. Its corners are given from the first built pixel, which lies at `origin` in the full field.
 ///
 /// # Errors
-/// One that is empty, or lies outside the field.
+/// The rectangle is empty, or lies outside of the field.
 pub fn region_of(
     [x0, y0, x1, y1]: [f64; 4],
     origin: [f64; 2],
@@ -118,7 +118,7 @@ pub fn region_of(
     let region =
         Region { x: [x0 + origin[0], x1 + origin[0]], y: [y0 + origin[1], y1 + origin[1]] };
     let there = region.intersection(full);
-    // No number is below NaN.
+    // The comparisons are written so that NaN is refused.
     if there.x[0] < there.x[1] && there.y[0] < there.y[1] && x0 < x1 && y0 < y1 {
         return Ok(region);
     }

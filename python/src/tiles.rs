@@ -1,4 +1,4 @@
-//! Labelled samples, made as they are asked for.
+//! Makes labelled samples on demand.
 
 use crate::builds::CacheChoice;
 use crate::errors::Fault;
@@ -16,12 +16,12 @@ use stemgen::rng::{Purpose, words};
 use stemgen::specimen::{Specimen, specimen};
 use stemgen::world::{BuildOptions, SampleOptions, TrainingSample, training_sample};
 
-/// Specimens that are kept: samples are asked for in about the order of their numbers.
+/// Number of specimens in memory. A few are enough, since samples are requested in about the order of their numbers.
 const KEPT: usize = 3;
-/// Draw that seeds specimens.
+/// Number of the draw that seeds specimens.
 const SPECIMEN: u32 = 16;
 
-/// What samples are made of.
+/// The options of samples.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct Drawing {
@@ -32,12 +32,12 @@ struct Drawing {
     dose: Option<[f64; 2]>,
     sigma_px: f64,
     seed: u64,
-    /// Samples of one specimen, after which another one is laid out; all of one when `None`.
+    /// Number of samples after which a new specimen is laid out; `None` for one specimen.
     per_specimen: Option<u64>,
     cache: CacheChoice,
 }
 
-/// A specimen and its imager, prepared.
+/// A specimen with its prepared imager.
 struct Laid {
     number: u64,
     recipe: CheckedRecipe,
@@ -45,7 +45,7 @@ struct Laid {
     imager: Box<dyn RegionImager>,
 }
 
-/// What all samples share.
+/// The data that all samples share.
 struct Source {
     recipe: CheckedRecipe,
     options: SampleOptions,
@@ -72,14 +72,14 @@ impl Source {
         Ok(Source { recipe, options, per_specimen: drawing.per_specimen, cache, laid })
     }
 
-    /// The specimen of a sample.
+    /// Returns the number of a sample's specimen.
     fn number(&self, index: u64) -> u64 {
         self.per_specimen.map_or(0, |each| index / each.max(1))
     }
 
-    /// A specimen, laid out and prepared if it is not there yet.
+    /// Returns a specimen. Lays it out and prepares it if it is not in memory.
     fn laid(&self, number: u64, progress: &dyn Progress) -> Result<Arc<Laid>, Fault> {
-        // One at a time: a library is filled once.
+        // The lock is held while a specimen is prepared, so that only one thread computes its library.
         let mut laid = self.laid.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(found) = laid.iter().find(|laid| laid.number == number) {
             return Ok(found.clone());
@@ -88,7 +88,7 @@ impl Source {
             None => self.recipe.clone(),
             Some(_) => {
                 let [low, high, ..] = words(self.options.seed, Purpose::Tile, SPECIMEN, number);
-                // TOML holds signed numbers.
+                // TOML has signed integers, so the seed has 63 bits.
                 self.recipe.with_seed((u64::from(high) << 31) ^ u64::from(low))?
             }
         };
@@ -104,7 +104,7 @@ impl Source {
         Ok(made)
     }
 
-    /// Samples of these numbers, in parallel.
+    /// Makes the samples of these numbers in parallel.
     fn samples(&self, indices: &[u64], call: &LongCall) -> Result<Vec<TrainingSample>, Fault> {
         let mut of_each = Vec::with_capacity(indices.len());
         for index in indices {
@@ -134,13 +134,13 @@ impl TileSource {
         run(py, running, move |_| Ok(TileSource(Arc::new(Source::new(&options)?))))
     }
 
-    /// Lays out the specimen of a sample, and fills the library of its images.
+    /// Lays out the specimen of a sample, and computes the library of its images.
     fn prepare(&self, py: Python<'_>, index: u64, running: Running) -> PyResult<()> {
         let source = self.0.clone();
         run(py, running, move |call| source.laid(source.number(index), call).map(drop))
     }
 
-    /// Samples of these numbers: a list of dicts.
+    /// Makes the samples of these numbers. Returns a list of dicts.
     fn samples<'py>(
         &self,
         py: Python<'py>,

@@ -1,4 +1,4 @@
-//! Words that stand for a choice.
+//! Converts words from Python to values of the library.
 
 use crate::errors::Fault;
 use pyo3::prelude::*;
@@ -18,7 +18,7 @@ fn refuse<T>(setting: Setting, value: impl ToString, expected: &str) -> Result<T
     Err(Fault::Value(setting, value.to_string(), expected.to_owned()))
 }
 
-/// The value of a word.
+/// Returns the value of a word.
 pub fn choice<T: Copy>(setting: Setting, word: &str, known: &[(&str, T)]) -> Result<T, Fault> {
     match known.iter().find(|(name, _)| *name == word) {
         Some((_, value)) => Ok(*value),
@@ -29,7 +29,7 @@ pub fn choice<T: Copy>(setting: Setting, word: &str, known: &[(&str, T)]) -> Res
     }
 }
 
-/// `auto`, `off` or per cent of an amplitude.
+/// Reads an expansion: `auto`, `off`, or per cent of an amplitude.
 pub fn expansion(given: &WordOrNumber) -> Result<Expansion, Fault> {
     match given {
         WordOrNumber::Number(percent) if *percent > 0.0 && percent.is_finite() => {

@@ -1,4 +1,4 @@
-//! World files, open for reading.
+//! Reads world files.
 
 use crate::errors::{Fault, Told, error};
 use crate::long_call::{Running, run};
@@ -16,17 +16,17 @@ use stemgen::render::{Colormap, Overlay, WorldPart, WorldPicture};
 
 use crate::words::choice;
 
-/// Bytes of the name of a defect, and of a composition.
+/// Number of bytes for the name of a defect, and for a composition.
 const DEFECT_NAME: usize = 16;
 const COMPOSITION: usize = 32;
 
-/// A file that is open in the process with this number.
+/// An open file, and the id of the process that opened it.
 struct Opened {
     process: u32,
     file: WorldFile,
 }
 
-/// A world file. It is opened when first read, and again in a process that was forked.
+/// A world file. The first read opens it. In a forked process the next read opens it again.
 #[pyclass(frozen, module = "stemworlds._core")]
 pub struct WorldReader {
     path: PathBuf,
@@ -38,7 +38,7 @@ impl WorldReader {
         let mut guard = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
         let process = std::process::id();
         if let Some(other) = guard.take_if(|opened| opened.process != process) {
-            // It belongs to the process that forked.
+            // The open file belongs to the parent process, so this process must not close it.
             std::mem::forget(other);
         }
         if guard.is_none() {
@@ -47,7 +47,7 @@ impl WorldReader {
         Ok(guard)
     }
 
-    /// Reads without the interpreter's lock.
+    /// Calls `read` without the interpreter's lock.
     fn with<T: Send>(
         &self,
         py: Python<'_>,
@@ -63,7 +63,7 @@ impl WorldReader {
 
 type Rows = (usize, usize);
 
-/// What `read` makes of a world, with the images of a detector; the main one without a name.
+/// Calls `read` with the images of a detector. Without a name it uses the main detector.
 fn on_detector<T>(
     world: &WorldFile,
     detector: Option<&str>,
@@ -84,12 +84,12 @@ impl WorldReader {
         Ok(reader)
     }
 
-    /// Closes the file; it is opened again when read.
+    /// Closes the file. The next read opens it again.
     fn close(&self) {
         *self.opened.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
-    /// What describes the world, as JSON.
+    /// Returns the metadata of the world as JSON.
     fn metadata(&self, py: Python<'_>) -> PyResult<String> {
         self.with(py, |world| {
             let m = world.metadata();
@@ -121,7 +121,7 @@ impl WorldReader {
         })
     }
 
-    /// A tile, [y, x].
+    /// Returns a tile, [y, x].
     fn tile<'py>(
         &self,
         py: Python<'py>,
@@ -137,7 +137,7 @@ impl WorldReader {
                 return Err(Fault::Value(Setting::Grid, format!("{row}, {column}"), expected));
             }
             if clean {
-                // The reader's own words where there is none.
+                // If there is no clean image, this call returns the reader's error.
                 world.stitched_clean(0..1, 0..1)?;
                 return Ok(world.clean_tile(row, column)?);
             }
@@ -147,7 +147,7 @@ impl WorldReader {
         Ok(tile.into_pyarray(py))
     }
 
-    /// The image of some rows and columns of pixels, [y, x].
+    /// Returns the image of some rows and columns of pixels, [y, x].
     fn image<'py>(
         &self,
         py: Python<'py>,
@@ -167,7 +167,7 @@ impl WorldReader {
         Ok(image.into_pyarray(py))
     }
 
-    /// The overview, [y, x].
+    /// Returns the overview, [y, x].
     fn overview<'py>(
         &self,
         py: Python<'py>,
@@ -177,13 +177,13 @@ impl WorldReader {
         Ok(self.with(py, |world| on_detector(world, detector, read))?.into_pyarray(py))
     }
 
-    /// Scale and offset of the images of a detector: fraction of the beam = value * scale + offset.
+    /// Returns scale and offset of the images of a detector: fraction of the beam = value * scale + offset.
     fn scaling(&self, py: Python<'_>, detector: Option<&str>) -> PyResult<Option<[f64; 2]>> {
         let read = |world: &WorldFile| Ok(world.metadata().scaling);
         self.with(py, |world| on_detector(world, detector, read))
     }
 
-    /// Phases of pixels, [y, x]; `None` in a world of one phase.
+    /// Returns the phases of pixels, [y, x]; `None` in a world of one phase.
     fn phase_map<'py>(
         &self,
         py: Python<'py>,
@@ -195,7 +195,7 @@ impl WorldReader {
         Ok(map.map(|map| map.into_pyarray(py)))
     }
 
-    /// Columns: a dict of arrays.
+    /// Returns the columns as a dict of arrays.
     fn columns(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
         let columns = self.with(py, |world| Ok(world.columns()?))?;
         let out = PyDict::new(py);
@@ -213,7 +213,7 @@ impl WorldReader {
         Ok(out.unbind())
     }
 
-    /// Lattice sites: a dict of arrays.
+    /// Returns the lattice sites as a dict of arrays.
     fn sites(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
         let lists = self.with(py, |world| {
             let mut all = SiteArrays::default();
@@ -231,7 +231,7 @@ impl WorldReader {
         Ok(out.unbind())
     }
 
-    /// Particles: a dict of arrays.
+    /// Returns the particles as a dict of arrays.
     fn particles(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
         let particles = self.with(py, |world| Ok(world.particles()?))?;
         let out = PyDict::new(py);
@@ -243,14 +243,14 @@ impl WorldReader {
         Ok(out.unbind())
     }
 
-    /// Boundaries of grains and phases: what they separate, and corners (x, y) in nm.
+    /// Returns the boundaries of grains and phases: the parts that each separates, as text, and its corners (x, y) in nm.
     fn boundaries(&self, py: Python<'_>) -> PyResult<Vec<(String, Py<PyArray2<f32>>)>> {
         let lines = self.with(py, |world| Ok(world.boundary_lines()?))?;
         let array = |points: Vec<[f32; 2]>| ndarray::arr2(&points).into_pyarray(py).unbind();
         Ok(lines.into_iter().map(|line| (line.text, array(line.points_nm))).collect())
     }
 
-    /// The whole world as PNG.
+    /// Returns a picture of the whole world as PNG.
     fn png<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let bytes = self.with(py, |world| Ok(image_pictures::of_world(world)?))?;
         Ok(PyBytes::new(py, &bytes))
@@ -289,7 +289,7 @@ fn push_padded(out: &mut Vec<u8>, text: &[u8], length: usize) {
     out.resize(end, 0);
 }
 
-/// How a world is shown.
+/// The options of a picture or page of a world.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct ViewOptions {
@@ -327,7 +327,7 @@ impl ViewOptions {
     }
 }
 
-/// Draws a part of a world as PNG, or makes a page (HTML) of it.
+/// Draws a part of a world as PNG, or writes a page (HTML) of the world.
 #[pyfunction]
 pub fn view_world(py: Python<'_>, options: ViewOptions, running: Running) -> PyResult<()> {
     run(py, running, move |_| {
@@ -343,7 +343,7 @@ pub fn view_world(py: Python<'_>, options: ViewOptions, running: Running) -> PyR
     })
 }
 
-/// An image with pixels (x, y) in Angstrom as PNG.
+/// Returns an image with pixels (x, y) in Angstrom as PNG.
 #[pyfunction]
 pub fn png<'py>(
     py: Python<'py>,
@@ -358,7 +358,7 @@ pub fn png<'py>(
     Ok(PyBytes::new(py, &bytes.or_raise(py)?))
 }
 
-/// Writes bytes to a file that is there as a whole or not at all.
+/// Writes bytes to a file. On an error no incomplete file remains.
 #[pyfunction]
 pub fn write_file(py: Python<'_>, path: PathBuf, bytes: &[u8], overwrite: bool) -> PyResult<()> {
     let write = || -> Result<(), Fault> {

@@ -33,9 +33,8 @@ class AtomArrays:
         cell: vectors as rows, ``[3, 3]``, in Angstrom.
         occupancies: fraction of its site that each atom occupies, ``[atom]``, above 0 and at most 1; atoms within 0.01 A share a site.
             All 1 by default.
-        arrays: further arrays by name, one value for each atom. Specimens have ``column``, the index of the atomic column in the truth
-            of a world, or -1; ``defect``, for example ``"substitution_Ge"`` or ``"none"``; ``atom_type``, 0 pristine, 1 vacancy,
-            2 substitution.
+        arrays: further arrays by name, one value for each atom. Specimens have ``column``, the index of the atomic column in the truth of a
+            world, or -1; ``defect``, for example ``"substitution_Ge"`` or ``"none"``; ``atom_type``, 0 pristine, 1 vacancy, 2 substitution.
     """
 
     numbers: npt.NDArray[np.int32]

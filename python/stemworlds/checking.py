@@ -24,7 +24,7 @@ class Audit:
     Attributes:
         bright_rms_percent: rms error at bright columns, in per cent of their intensity.
         all_rms_percent: rms error of all pixels, in per cent of the brightest column.
-        worst_percent: the greater of the two errors.
+        worst_percent: greatest absolute error of a pixel, in per cent of the brightest column.
         regions: number of audited regions.
         details: all values, as in ``stemgen audit --json``.
     """
@@ -55,15 +55,15 @@ def audit(
     """Simulates regions of a world again by plain multislice with the same displaced atoms. Returns the error of the world.
 
     Args:
-        field: a :class:`World`, the path of one, or a recipe, of which the error of a world is told before it is built.
+        field: a :class:`World`, its path, or a recipe. For a recipe, the error of a world is estimated before it is built.
         regions: number of regions, drawn at random.
-        at_nm: centres ``(x, y)`` in nm in place of random ones.
+        at_nm: centres ``(x, y)`` in nm, instead of random ones.
         size_nm: edge of a region.
-        stride: compare every how many-th pixel.
-        configurations: phonon configurations to average.
-        audit_seed: of the places.
-        check: first reads a world given by its path through in a process of its own, as :class:`World` does.
-        **recipe: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed`` of a recipe, as :class:`Recipe` takes them.
+        stride: distance of compared pixels; 1 compares every pixel.
+        configurations: number of phonon configurations to average.
+        audit_seed: seed of the random places.
+        check: if ``field`` is a path, read the file first in a separate process, see :class:`World`.
+        **recipe: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed`` of a recipe, see :class:`Recipe`.
     """
     path = None if isinstance(field, World) else world_path(field)
     if check and path is not None:
@@ -165,7 +165,7 @@ def compare(
 
     Args:
         a, b: the files.
-        alpha: accepted probability of the verdict ``"different"`` for two worlds of one recipe.
+        alpha: accepted probability of the verdict ``"different"`` for two worlds that differ in their seed alone.
         out: page (HTML) to write.
         check: read both files first in a separate process, see :class:`World`.
     """

@@ -35,10 +35,10 @@ def export(
     ============ ================================================================================================
     ``.npz``     stacks ``images``, ``clean``, ``heat_maps``, ``class_masks``, ``phase_masks`` (N, H, W); ``dose``, ``pixel_nm``,
                  ``angle_deg``, ``centre_nm`` (x, y), ``index`` and ``source`` of each sample; ``recipes`` (TOML, by source); ``columns``.
-                 ``stemgen tiles`` writes the same
-    ``.h5``      the same as HDF5; h5py has to be installed
+                 ``stemgen tiles`` writes this format too
+    ``.h5``      the arrays of ``.npz`` in HDF5; h5py has to be installed
     ``.csv``     ``columns``: sample (its index), x_px, y_px, class, number, occupancy, sites, vacancies, substitutions
-    ``.parquet`` the same; pyarrow has to be installed
+    ``.parquet`` the table of ``.csv`` in Parquet; pyarrow has to be installed
     ``.json``    COCO: outlines of particles, one category for each shape, and the images as PNG in the folder ``NAME_images``
     ``.tar``     WebDataset: for each sample ``image.npy``, ``heat_map.npy``, ``class_mask.npy``, ``columns.json``
     ============ ================================================================================================

@@ -65,7 +65,7 @@ class Image:
 
     @property
     def noisy(self) -> Image:
-        """Returns the image from the counted electrons: counts divided by the incident electrons of a pixel.
+        """The image from the counted electrons: counts divided by the incident electrons of a pixel.
 
         Raises:
             InvalidValue: without a dose.
@@ -107,7 +107,7 @@ class Image:
 
     @property
     def _is_noisy(self) -> bool:
-        """Returns whether the array contains counts divided by the incident electrons of a pixel."""
+        """Whether the array contains counts divided by the incident electrons of a pixel."""
         return self.counts is not None and self.name.endswith("_noisy")
 
     def _about(self, series: bool) -> _core.HspyOptions:

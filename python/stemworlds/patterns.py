@@ -343,8 +343,8 @@ def simulate_patterns(
         coherent_tail: add the part of the probe outside of its window. Default true.
         out: a file (``.emd``) to which the patterns are written row by row, instead of memory. py4DSTEM, LiberTEM and HyperSpy open it.
         overwrite: replace an existing file.
-        **options: see :class:`SimulationOptions`. ``detectors``, ``source_lorentz`` and ``accuracy_percent`` are for images.
-            Without an engine, probes are propagated in windows that contain the beam throughout the specimen.
+        **options: see :class:`SimulationOptions`. ``detectors``, ``source_lorentz`` and ``accuracy_percent`` are for images. Without an
+            engine, probes are propagated in windows that contain the beam throughout the specimen.
 
     Returns:
         The patterns: fractions of the beam, float32, or with ``dose`` (electrons per square Angstrom) counted electrons, uint32.

@@ -30,8 +30,8 @@ class Recipe(Mapping[str, Any]):
     copies.
 
     Args:
-        source: name of a shipped recipe (:func:`recipes`), path of a TOML file or of a file of atoms
-            (``.xyz``, ``.extxyz``, ``.cif``, ``.vasp``, ``.poscar``), TOML text, a dict, or another recipe.
+        source: name of a shipped recipe (:func:`recipes`), path of a TOML file or of a file of atoms (``.xyz``, ``.extxyz``, ``.cif``,
+            ``.vasp``, ``.poscar``), TOML text, a dict, or another recipe.
         difficulty: the tier, if the recipe has tiers.
         set: values to change, ``{"vacancies.rate": 0.02}``; ``None`` removes a key.
         unset: keys or tables to remove.

@@ -48,7 +48,7 @@ class Recording:
 
     @property
     def image(self) -> Image:
-        """Returns the recording as an image (the sum of all frames), in counts."""
+        """The recording as an image (the sum of all frames), in counts."""
         array = self.array if self.array.ndim == 2 else self.array.sum(axis=0)
         return Image("recording", array.astype(np.float32), (self.pixel_nm,) * 2, self.ideal.origin_nm, units="counts")
 

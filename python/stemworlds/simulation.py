@@ -267,11 +267,11 @@ def simulate_probes(
     Each probe is propagated separately, so :func:`simulate` is faster for a raster. With ``engine="window"`` each probe has its own window.
 
     Args:
-        atoms: as :func:`simulate` takes them.
+        atoms: see :func:`simulate`.
         positions: ``(x, y)`` of each probe, of shape (N, 2). The box is periodic.
-        unit: of the positions: ``"angstrom"``, ``"nm"``, or ``"cell"``, fractions of the box after ``zone`` and ``repeat``.
-        **options: see :class:`SimulationOptions`. ``scan``, ``dose``, ``source_size_angstrom`` and ``accuracy_percent`` need a
-            raster, and PRISM has no single probes.
+        unit: unit of the positions: ``"angstrom"``, ``"nm"``, or ``"cell"``, fractions of the box after ``zone`` and ``repeat``.
+        **options: see :class:`SimulationOptions`. ``scan``, ``dose``, ``source_size_angstrom`` and ``accuracy_percent`` need a raster, and
+            PRISM has no single probes.
 
     Returns:
         Values by name of the detector; for a defocus series with the name ``"HAADF_defocus_20A"``.
@@ -333,8 +333,9 @@ def plane_wave(atoms: Atoms, **options: Unpack[SimulationOptions]) -> PlaneWave:
     """Propagates a plane wave through atoms, and images it with the objective lens (conventional TEM).
 
     Args:
-        atoms: as :func:`simulate` takes them.
-        **options: see :class:`SimulationOptions`; those of scan, source and detectors have no meaning here.
+        atoms: see :func:`simulate`.
+        **options: see :class:`SimulationOptions`. ``scan``, ``detectors``, ``source_size_angstrom``, ``dose`` and ``accuracy_percent`` are
+            refused.
 
     Returns:
         Exit waves ``[configuration, y, x]``, and an image ``[y, x]`` for each defocus.
@@ -361,9 +362,9 @@ def diffraction(
     """Simulates the diffraction pattern of one probe by multislice or in a window, averaged over phonon configurations.
 
     Args:
-        atoms: as :func:`simulate` takes them.
-        position_angstrom: where the probe stands, ``(x, y)``.
-        **options: see :class:`SimulationOptions`. The grid carries the outermost detector angle.
+        atoms: see :func:`simulate`.
+        position_angstrom: place of the probe, ``(x, y)``.
+        **options: see :class:`SimulationOptions`. The outermost detector angle determines the band limit of the grid.
     """
     request, arrays = _request(atoms, options)
     place = _pair("position_angstrom", position_angstrom)

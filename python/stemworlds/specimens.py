@@ -39,11 +39,11 @@ def specimen(
 
     Args:
         recipe: name, path, TOML, dict or :class:`Recipe`.
-        region_nm: only columns in it, left, upper, right and lower edge, from the centre of the first built pixel. Columns are then
-            counted from 0 on; those of the whole field are counted as in the truth of a world.
-        vacancies: vacant sites too, as atoms with the number 0 (``X``).
-        vacuum_angstrom: space without atoms between opposite edges of the cell: the field is cut out of a larger specimen.
-        **changes: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed``, as :class:`Recipe` takes them.
+        region_nm: region of the columns, left, upper, right and lower edge, from the centre of the first built pixel. Its columns are
+            numbered from 0. Without a region, columns have their numbers in the truth of a world.
+        vacancies: include vacant sites, as atoms with the number 0 (``X``).
+        vacuum_angstrom: empty space at the edges of the cell, since the field is cut out of a larger specimen.
+        **changes: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed``, see :class:`Recipe`.
     """
     arrays = specimen_arrays(
         recipe,

@@ -164,16 +164,17 @@ def stream(
     Seed and index determine a sample; the number of threads and workers has no effect.
 
     Args:
-        recipe: name, path, TOML, dict or :class:`Recipe`; or several, a list, or a dict with a weight for each.
-        difficulty: the tier, where recipes have some.
-        dose: electrons per square Angstrom, or a range, drawn evenly in its logarithm; that of the recipe by default.
+        recipe: name, path, TOML, dict or :class:`Recipe`; or a list of several, or a dict with a weight for each.
+        difficulty: the tier, if the recipes have tiers.
+        dose: electrons per square Angstrom, or a range with a uniform distribution of the logarithm; by default the recipe's dose.
         size: edge of a sample in pixels.
-        pixel_nm: edge of a pixel, or a range; that of the recipe by default.
-        angle_deg: angle by which the scan is turned against the specimen, or a range.
-        heat_sigma_px: standard deviation of a column in the heat maps.
-        samples_per_specimen: lay out another specimen, with a seed of its own, after so many samples; one specimen for all by default.
-        batch: samples that are made at once, in parallel.
-        **changes: ``set``, ``unset``, ``grid`` of the recipes, as :class:`Recipe` takes them; ``grid`` says how large the field is.
+        pixel_nm: edge of a pixel, or a range; by default the recipe's value.
+        angle_deg: angle between scan and specimen, or a range.
+        heat_sigma_px: standard deviation, in pixels, of a column in the heat maps.
+        samples_per_specimen: number of samples after which a new specimen, with a new seed, is laid out; by default all samples show one
+            specimen.
+        batch: number of samples that are made in parallel.
+        **changes: ``set``, ``unset``, ``grid`` of the recipes, see :class:`Recipe`. ``grid`` determines the size of the field.
 
     Returns:
         A :class:`Stream`. Iterate over it, or call :meth:`Stream.sample` with a number.

@@ -289,12 +289,12 @@ class World:
 
     @property
     def boundaries(self) -> list[tuple[str, npt.NDArray[np.float32]]]:
-        """Boundaries of grains and phases: the kind of boundary, and its corners ``[point, (x, y)]`` in nm."""
+        """Boundaries of grains and phases: the parts that each separates, as text, and its corners ``[point, (x, y)]`` in nm."""
         return reading(self._reader.boundaries)()
 
     @property
     def phase_map(self) -> npt.NDArray[np.int32] | None:
-        """Returns the phase of each pixel, ``[y, x]``, an index into ``metadata.phases``; ``None`` in a world of one phase."""
+        """Phase of each pixel, ``[y, x]``, an index into ``metadata.phases``; ``None`` in a world of one phase."""
         height, width = self.shape
         return reading(self._reader.phase_map)((0, height), (0, width))
 

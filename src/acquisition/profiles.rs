@@ -30,7 +30,7 @@ use super::acquisition_settings::Acquisition;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Profile {
-    /// Nothing but the electrons' Poisson noise.
+    /// No error but the Poisson noise of the electrons.
     #[default]
     Ideal,
     /// A corrected microscope, well kept.

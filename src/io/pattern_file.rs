@@ -7,7 +7,7 @@
 //! - `/datacube_root/metadatabundle/calibration`: what py4DSTEM calibrates by;
 //! - `/entry/diffraction` (NXdata) leads to the same array by a link;
 //! - `/vacuum/data`: the pattern of the beam without a specimen;
-//! - `/` attributes: `format` ("stemgen patterns"), `format_version`, those of image files (request, settings, command), `energy_kev`,
+//! - `/` attributes: `format` ("stemgen patterns"), `format_version`, attributes of image files (request, settings, command), `energy_kev`,
 //!   `semiangle_mrad`, `defocus_angstrom` (positive: underfocus) and `c10_angstrom` (its negative), `thickness_angstrom`,
 //!   `pixel_mrad`, `max_angle_mrad`, `step_angstrom` and `origin_angstrom` (x, y), `coherent_tail`, `engine`,
 //!   `ring_mrad` of rings, `electrons_per_pattern` and `seed` of counted electrons;
@@ -97,7 +97,7 @@ enum PatternSink {
 /// only if `overwrite`. The endings of their names decide what they are ([`PatternFormat`]).
 ///
 /// # Errors
-/// [`Error::Io`], [`Error::Hdf5`], and those of `fill`.
+/// [`Error::Io`], [`Error::Hdf5`], and errors of `fill`.
 pub fn write_patterns(
     files: &[(PathBuf, PatternHeader)],
     overwrite: bool,
@@ -178,7 +178,7 @@ impl PatternWriter {
         }
     }
 
-    /// The same for counted electrons.
+    /// Writes rows of counted electrons, from `first_row` on, (row, column, ky, kx). Rows come from the first to the last.
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Hdf5`].

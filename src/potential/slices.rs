@@ -12,14 +12,14 @@ pub enum Slicing {
     /// [`GROUP_ANGSTROM`] along the beam share a slice.
     #[default]
     Planes,
-    /// Atoms within so many Angstrom along the beam share a slice, at their mean height.
+    /// Atoms within this distance in Angstrom along the beam share a slice, at their mean height.
     Grouped(f64),
-    /// The same, but in a window each slice acts where those of its atoms are that lie near the window's middle, and slices join
-    /// where that puts atoms off by little. Engines without windows take slices as in [`Slicing::Grouped`].
+    /// Slices as in [`Slicing::Grouped`], but each window puts a slice at the mean height of the slice's atoms near the window's middle.
+    /// Slices join where this displaces atoms by little. Engines without windows take [`Slicing::Grouped`].
     Local(f64),
     /// Slices of equal thickness, at most this many Angstrom and as near to that as possible.
     Thickness(f64),
-    /// The same, but the first slice begins at z = 0 of the cell even where atoms lie on its faces, as in abTEM.
+    /// Slices of equal thickness that begin at z = 0 of the cell, even where atoms lie on its faces, as in abTEM.
     ThicknessFromFace(f64),
 }
 

@@ -73,7 +73,7 @@ impl GreyScale {
 /// Writes an image with pixels of `step` (x, y) Angstrom.
 ///
 /// # Errors
-/// Those of the file; values that cannot be drawn.
+/// Errors of the file; [`Error::Invalid`] for values that cannot be drawn.
 pub fn write(path: &Path, image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> Result<()> {
     atomic_write::write(path, &png(image, step, scale_bar)?)
 }
@@ -81,7 +81,7 @@ pub fn write(path: &Path, image: ArrayView2<f32>, step: [f64; 2], scale_bar: boo
 /// Writes a page of images of one scan.
 ///
 /// # Errors
-/// Those of the file; values that cannot be drawn.
+/// Errors of the file; [`Error::Invalid`] for values that cannot be drawn.
 pub fn write_page(
     path: &Path,
     title: &str,
@@ -106,7 +106,7 @@ pub fn write_page(
 /// The whole of a world as a PNG.
 ///
 /// # Errors
-/// Those of the file; values that cannot be drawn.
+/// Errors of the file; [`Error::Invalid`] for values that cannot be drawn.
 pub fn of_world(world: &WorldFile) -> Result<Vec<u8>> {
     let [rows, columns] = world.shape();
     let pixel = 10.0 * world.metadata().pixel_size_nm;
@@ -119,7 +119,7 @@ pub fn of_world(world: &WorldFile) -> Result<Vec<u8>> {
 /// Writes the whole of a world as a PNG.
 ///
 /// # Errors
-/// Those of the file and of writing; values that cannot be drawn.
+/// Errors of the world file and of writing; [`Error::Invalid`] for values that cannot be drawn.
 pub fn write_world(world: &WorldFile, path: &Path) -> Result<()> {
     std::fs::write(path, of_world(world)?).map_err(|e| Error::io(path, "write", e))
 }
@@ -127,7 +127,7 @@ pub fn write_world(world: &WorldFile, path: &Path) -> Result<()> {
 /// An image with pixels of `step` (x, y) Angstrom as a PNG.
 ///
 /// # Errors
-/// Those of the file; values that cannot be drawn.
+/// Errors of the file; [`Error::Invalid`] for values that cannot be drawn.
 pub fn png(image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> Result<Vec<u8>> {
     GreyScale { scale_bar, ..GreyScale::default() }.png(image, step)
 }

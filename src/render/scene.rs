@@ -19,7 +19,7 @@ const BLOCK: usize = 8;
 const HALF_SHARE: f64 = 0.3;
 const POWER: f64 = 0.7;
 
-/// Colours that people with any colour vision tell apart (Okabe and Ito 2008).
+/// Colours that people with any colour vision distinguish (Okabe and Ito 2008).
 pub mod palette {
     /// For elements, from the heaviest.
     pub const ELEMENTS: [[u8; 3]; 5] =
@@ -100,7 +100,7 @@ impl Scene {
         }
     }
 
-    /// Mixes colours into the ground: those of positions in nm, where there is one.
+    /// Mixes colours into the ground. A position in nm has a colour or none.
     pub fn wash(&mut self, color: impl Fn([f64; 2]) -> Option<[u8; 3]>, alpha: f64) {
         for y in 0..self.ground.height {
             for x in 0..self.ground.width {

@@ -65,7 +65,7 @@ pub enum Overlay {
 }
 
 impl Overlay {
-    /// Its name, and those of what it brings along.
+    /// Names of the overlays that it draws: its own, and of overlays that belong to it.
     fn names(self) -> &'static [&'static str] {
         match self {
             Overlay::Defects => &["defects"],
@@ -81,7 +81,7 @@ impl WorldPicture {
     /// The page (HTML) of a world that shows this first, at a region x0, y0, x1, y1 in nm.
     ///
     /// # Errors
-    /// Those of the file; overlays that the world has nothing for.
+    /// Errors of the file; [`Error::Invalid`] for an overlay of which the world has nothing.
     pub fn page(&self, world: &WorldFile, title: String, region: Option<[f64; 4]>) -> Result<Page> {
         self.check()?;
         if self.clean && !world.has_clean() {
@@ -169,7 +169,7 @@ impl WorldPart {
     /// The picture of these pixels.
     ///
     /// # Errors
-    /// Those of the file, and overlays that the world has nothing for.
+    /// Errors of the file; [`Error::Invalid`] for an overlay of which the world has nothing.
     pub fn picture(&self, view: &WorldPicture, world: &WorldFile) -> Result<RgbImage> {
         view.check()?;
         let (image, pixel_nm, contrast) = self.image(view, world)?;
@@ -396,7 +396,7 @@ fn over_grey(color: [u8; 3]) -> [u8; 3] {
 /// The boundaries of a world that has some.
 ///
 /// # Errors
-/// Those of the file; [`Error::Invalid`] for a world that has none.
+/// Errors of the file; [`Error::Invalid`] for a world that has none.
 fn boundaries(world: &WorldFile) -> Result<Vec<Vec<[f32; 2]>>> {
     let lines = [world.phase_boundaries()?, world.boundaries()?].concat();
     if lines.is_empty() {
@@ -408,7 +408,7 @@ fn boundaries(world: &WorldFile) -> Result<Vec<Vec<[f32; 2]>>> {
 /// The boundaries of a world that has some, or phases.
 ///
 /// # Errors
-/// Those of the file; [`Error::Invalid`] for a world that has none.
+/// Errors of the file; [`Error::Invalid`] for a world that has none.
 fn boundaries_or_phases(world: &WorldFile) -> Result<Vec<Vec<[f32; 2]>>> {
     let lines = [world.phase_boundaries()?, world.boundaries()?].concat();
     if lines.is_empty() && world.phase_map(0..1, 0..1)?.is_none() {
@@ -420,7 +420,7 @@ fn boundaries_or_phases(world: &WorldFile) -> Result<Vec<Vec<[f32; 2]>>> {
 /// The particles of a world that has some.
 ///
 /// # Errors
-/// Those of the file; [`Error::Invalid`] for a world that has none.
+/// Errors of the file; [`Error::Invalid`] for a world that has none.
 fn particles(world: &WorldFile) -> Result<ParticleBatch> {
     let particles = world.particles()?;
     if particles.centres.is_empty() {

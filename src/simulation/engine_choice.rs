@@ -60,7 +60,7 @@ impl SimulationJob {
     }
 
     /// Chooses as [`SimulationJob::choose_accuracy`] does, for a plan that is only shown. Unless the request gives an accuracy, samples
-    /// that would take some seconds are left out, and the plans are those of the exact engine ([`AccuracyFound::chosen_later`]).
+    /// that would take some seconds are left out, and the plans are made for the exact engine ([`AccuracyFound::chosen_later`]).
     ///
     /// # Errors
     /// As [`SimulationJob::choose_accuracy`].

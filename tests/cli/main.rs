@@ -33,6 +33,7 @@ mod skipped;
 mod specimen;
 #[cfg(unix)]
 mod strangers;
+mod style;
 mod tiles;
 mod validate;
 mod verify;

@@ -21,16 +21,16 @@ from .time_left import forecast_of_time
 
 _INTERRUPTED = 130
 
-_ABOUT = """Runs agents in worlds under a dose budget, and reports what they found for it.
-An experiment is a TOML file (agents x tasks x worlds x seeds x budgets), or one that comes with the package."""
+_ABOUT = """Run agents in worlds under a dose budget, and report their scores.
+An experiment is a TOML file (agents x tasks x worlds x seeds x budgets), or the name of an experiment of the package."""
 _EXAMPLES = """examples:
   stemworlds bench experiments
   stemworlds bench run main --out main.jsonl --processes 4
   stemworlds bench report main.jsonl -o main.html
   stemworlds bench leaderboard main.jsonl mine.jsonl"""
-_RUN = """Plays all episodes of an experiment that the file of results does not hold yet. Each is appended as it ends, so a run that
-was interrupted goes on where it was. Episodes that end with an error are told, and played when the experiment is run again.
-The first episode in a material fills its library, which takes minutes; later runs find it in the cache."""
+_RUN = """Play all episodes of an experiment that are not in the file of results yet. Each result is appended at the end of its episode,
+so the same command continues an interrupted run. Episodes that end with an error are printed; the next run plays them again.
+The first episode in a material computes its library, which takes minutes. Later runs read it from the cache."""
 _RUN_EXAMPLES = """examples:
   stemworlds bench run quick --out quick.jsonl
   stemworlds bench run my-agents.toml --out mine.jsonl --processes 8
@@ -42,14 +42,15 @@ an experiment, my-agents.toml:
   budgets = [5000]
   agents = ["Nothing", "Raster", "GP-UCB", {name = "mine", navigator = {kind = "gp", beta = 1.0}, analyst = "heuristic"}]
   worlds = ["w.h5", {recipe = "srtio3", difficulty = "easy"}]"""
-_REPORT = """Makes one HTML page of results, with tables beside it: PAGE-agents.csv (by task and budget),
-PAGE-episodes.csv and PAGE-pairs.csv (paired tests). Sections that the results do not support are left out, and the page says so."""
+_REPORT = """Make one HTML page of results, with tables beside it: PAGE-agents.csv (by task and budget),
+PAGE-episodes.csv and PAGE-pairs.csv (paired tests). The page leaves out sections without data, and lists them."""
 _REPORT_EXAMPLES = """examples:
   stemworlds bench report main.jsonl -o main.html
   stemworlds bench report main.jsonl rl.jsonl -o both.html"""
-_LEADERBOARD = """Ranks agents of one file of results or several, by task and budget: mean DEC-AUC with its 95 % interval, and the share of the
-way from the floor (an agent that declares nothing) to the ceiling (one that knows the truth), where the results hold both. Skill is the
-share of the way from a blind agent (Prior: 0) to the ideal observer (Ideal: 1), where the results hold both and the two differ by 0.005."""
+_LEADERBOARD = """Rank the agents of one or several files of results, by task and budget: mean DEC-AUC with its 95 % interval, and the
+position between the floor (an agent that declares nothing, 0 %) and the ceiling (an agent that knows the truth, 100 %), if the results
+contain both. Skill is the position between a blind agent (Prior: 0) and the ideal observer (Ideal: 1), if the results contain both and
+their scores differ by 0.005 or more."""
 _LEADERBOARD_EXAMPLES = """examples:
   stemworlds bench leaderboard main.jsonl
   stemworlds bench leaderboard main.jsonl mine.jsonl --json"""
@@ -88,15 +89,15 @@ def _parser() -> argparse.ArgumentParser:
 
     run = add("run", _run, "play the episodes of an experiment", _RUN, _RUN_EXAMPLES)
     run.add_argument("experiment", metavar="EXPERIMENT", help="a TOML file, or the name of an experiment of the package")
-    run.add_argument("--out", required=True, metavar="RESULTS", help="file of results, JSON lines; what it holds is not played again")
-    run.add_argument("--processes", type=int, metavar="N", help="how many episodes play at once [default: as many as processors]")
-    run.add_argument("--dry-run", action="store_true", help="only tell what would be played, and how long it takes by the times in RESULTS")
+    run.add_argument("--out", required=True, metavar="RESULTS", help="file of results (JSON lines); its episodes are not played again")
+    run.add_argument("--processes", type=int, metavar="N", help="number of episodes at once [default: number of processors]")
+    run.add_argument("--dry-run", action="store_true", help="print the remaining episodes and their estimated time; play none")
     report = add("report", _report, "make a page of results", _REPORT, _REPORT_EXAMPLES)
     report.add_argument("results", nargs="+", metavar="RESULTS", help="files of results")
-    report.add_argument("-o", "--out", required=True, metavar="PAGE", help="the page, with .html behind it")
+    report.add_argument("-o", "--out", required=True, metavar="PAGE", help="the page; its name ends in .html")
     ranks = add("leaderboard", _leaderboard, "rank the agents of results", _LEADERBOARD, _LEADERBOARD_EXAMPLES)
     ranks.add_argument("results", nargs="+", metavar="RESULTS", help="files of results")
-    add("experiments", _experiments, "list the experiments and agents of the package", "Lists the experiments and agents of the package.", "")
+    add("experiments", _experiments, "list the experiments and agents of the package", "List the experiments and agents of the package.", "")
     return parser
 
 

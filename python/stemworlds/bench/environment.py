@@ -186,7 +186,7 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         ``max_episode_steps`` adds this wrapper. The last step before its limit is then the last step of the episode, and gives the reward.
 
         Raises:
-            InvalidValue: if a wrapper in between makes several steps of each of its own, and the reward is ``"sparse"``.
+            InvalidValue: if a wrapper in between executes several steps for one of its own steps, and the reward is ``"sparse"``.
         """
         limiter = _caller(self)
         if limiter is None:

@@ -40,7 +40,7 @@ _OPTIONS = {"horizon", "cadence", "exposure", "noise", "damage", "target", "cach
 #: Most steps that an acquisition needs, with its navigation and declaration.
 _STEPS_A_TILE = 4
 _REFERENCE_DOSE = 100.0
-#: Most seeds, and most episodes. Such experiments take years, but their lists fit into memory.
+#: Most seeds, and most episodes. An experiment of this size takes years, but its list of episodes fits into memory.
 _MOST_SEEDS, _MOST_EPISODES = 100_000, 1_000_000
 
 
@@ -65,14 +65,14 @@ class Episode:
 
     @property
     def key(self) -> str:
-        """Returns the key of the combination in files of results: 16 digits of a hash of all its values."""
+        """The key of the combination in files of results: 16 digits of a hash of all its values."""
         options = {key: value for key, value in self.environment.items() if key not in OF_THE_MACHINE}
         parts = [_agent_essence(self.agent), self.task, _essence(self.world), self.seed, float(self.budget), options]
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
     @property
     def specimen(self) -> str:
-        """Returns a name of the specimen. Episodes with equal names may share its images."""
+        """A name of the specimen. Episodes with equal names may share its images."""
         return json.dumps([self.world, self.seed], sort_keys=True, default=str)
 
     @property
@@ -82,7 +82,7 @@ class Episode:
 
     @property
     def environment_options(self) -> dict[str, Any]:
-        """Returns the keywords of :func:`gymnasium.make`."""
+        """The keywords of :func:`gymnasium.make`."""
         given = {key: value for key, value in self.world.items() if key not in ("name", "file", "tasks")}
         if "file" in self.world:
             # A file cannot change its difficulty, which is only a label in the report.

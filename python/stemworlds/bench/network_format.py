@@ -12,12 +12,10 @@ import numpy as np
 from ..errors import FormatError
 
 #: ``counts`` float32 ``[tile, 1, y, x]``, electrons; ``conditions`` float32 ``[tile, 6]``: dose (e/A^2), electrons per pixel, edge of a
-#: pixel
-#: (nm), inner and outer angle of the detector (mrad), thickness (nm).
+#: pixel (nm), inner and outer angle of the detector (mrad), thickness (nm).
 INPUTS = ("counts", "conditions")
 #: float32 ``[tile, channel, y / 2, x / 2]``, for cells of 2 x 2 pixels: probability that the cell contains the centre of a column; offset
-#: (x, y)
-#: of the column from the centre of the cell, in cells; probabilities of kinds; evidence by type of defect, with the log likelihood
+#: (x, y) of the column from the centre of the cell, in cells; probabilities of kinds; evidence by type of defect, with the log likelihood
 #: ``k toward - k^2 sharpness / 2`` of k defects; probabilities of phases; probability of a particle.
 OUTPUTS = ("column", "offset", "kind", "toward", "sharpness", "phase", "particle")
 #: Key of the card in the metadata of an ONNX file.

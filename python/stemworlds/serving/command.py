@@ -40,12 +40,16 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a value of the recipe (TOML)")
     made.add_argument("--host", default=ADDRESS[0], help="address for connections (default: %(default)s, from this computer only)")
     made.add_argument("--port", type=int, default=ADDRESS[1], help="port (default: %(default)s; 0 chooses a free port)")
-    made.add_argument("--profile", choices=["ideal", "routine", "poor"], default="ideal", help="errors of scan and detector (default: %(default)s)")
-    made.add_argument("--fov", type=float, default=50.0, metavar="ANGSTROM", help="edge of the field of view in Angstrom (default:
-    %(default)s)")
+    made.add_argument(
+        "--profile", choices=["ideal", "routine", "poor"], default="ideal", help="errors of scan and detector (default: %(default)s)"
+    )
+    made.add_argument(
+        "--fov", type=float, default=50.0, metavar="ANGSTROM", help="edge of the field of view in Angstrom (default: %(default)s)"
+    )
     made.add_argument("--current", type=float, default=20.0, metavar="PA", help="current of the beam in pA (default: %(default)s)")
-    made.add_argument("--most-dose", type=float, default=1e6, help="greatest total dose of a place, in electrons per square Angstrom
-    (default: 1e6)")
+    made.add_argument(
+        "--most-dose", type=float, default=1e6, help="greatest total dose of a place, in electrons per square Angstrom (default: 1e6)"
+    )
     made.add_argument("--threads", type=int, help="number of threads (default: all processors)")
     return made
 

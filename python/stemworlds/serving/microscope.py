@@ -48,7 +48,7 @@ _TAKES = {
 class Microscope:
     """A microscope with a specimen that its electrons change. Its calls run one after the other.
 
-    Every public method except :meth:`answer` is a verb. Units are those of asyncroscopy: the stage is in m, the field of view in Angstrom,
+    Every public method except :meth:`answer` is a verb. The units are asyncroscopy's: the stage is in m, the field of view in Angstrom,
     currents are in pA, times in s, and the beam is in fractions of the field of view.
 
     Args:

@@ -17,7 +17,7 @@ from . import export, packaged_configs, read_config, train
 _INTERRUPTED = 130
 
 _ABOUT = """Trains networks that find columns and say how many defects each holds, on tiles that are made as they are needed.
-It writes checkpoint.pt, log.jsonl (losses by step) and at the end member-0.onnx ... to a folder. The same command goes on where it was;
+It writes checkpoint.pt, log.jsonl (losses by step) and at the end member-0.onnx ... to a folder. The same command continues from there;
 a kill loses what came after the last checkpoint. PyTorch, onnx and onnxscript have to be installed: pip install 'stemworlds[train]'."""
 _EXAMPLES = """examples:
   stemworlds train crystals --out crystals

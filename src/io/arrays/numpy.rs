@@ -35,8 +35,9 @@ pub fn read_npz(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let mut places = Vec::new();
     for i in 0..archive.len() {
         let Ok(mut entry) = archive.by_index(i) else { continue };
+        let Ok(name) = entry.name().map(|name| key(&name)) else { continue };
         if NpyHeader::read(&mut entry).is_ok_and(|header| header.shape.len() >= 2) {
-            names.push(key(entry.name()));
+            names.push(name);
             places.push(i);
         }
     }
@@ -54,7 +55,9 @@ pub fn unpack(bytes: &[u8]) -> Decoded<Vec<(String, ArrayD<f64>)>> {
     let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(|e| e.to_string())?;
     let mut arrays = Vec::new();
     for i in 0..archive.len() {
-        let name = key(archive.by_index(i).map_err(|e| e.to_string())?.name());
+        let found = archive.by_index(i).map_err(|e| e.to_string())?;
+        let name = key(&found.name().map_err(|e| e.to_string())?);
+        drop(found);
         if let Ok(data) = entry(&mut archive, i) {
             arrays.push((name, data));
         }

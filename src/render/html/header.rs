@@ -70,7 +70,7 @@ pub(super) struct PageImage {
     pub stored: Option<&'static str>,
     /// Electrons that fall on a pixel, where the image holds counted electrons.
     pub electrons: Option<f64>,
-    /// Whether the values are those of the file, and not rounded.
+    /// Whether the values are exact, as the file holds them; else they are rounded.
     pub exact: bool,
     /// The finest first.
     pub levels: Vec<Level>,

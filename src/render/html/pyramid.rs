@@ -8,7 +8,7 @@
 //!   root of the distance from the least value, in which the noise of counted electrons is even too.
 //!
 //! A byte before the codes says whether they stand as they are, or as differences (modulo 2^16) from
-//! left + above - above left; those of 16 bits stand as all low, then all high bytes.
+//! left + above - above left; codes of 16 bits stand as all low, then all high bytes.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
@@ -61,9 +61,9 @@ pub(super) struct Pyramid {
 
 /// The values of codes.
 enum CodeTable {
-    /// Those of the image, and the code of each (by its bits).
+    /// All values of the image, and the code of each (by its bits).
     Values(Vec<f32>, Codes),
-    /// So many steps from a least to a greatest value, even in the square root.
+    /// Number of steps from the least to the greatest value, even in the square root; and these two values.
     Roots(usize, [f32; 2]),
 }
 

@@ -35,7 +35,7 @@ impl WorldPage {
     /// Makes the page. Memory holds the page and a third of the image.
     ///
     /// # Errors
-    /// Those of the reader; [`Error::Invalid`] for a pixel that is no number.
+    /// Errors of the reader; [`Error::Invalid`] for a pixel that is no number.
     pub fn page(&self, world: &WorldFile) -> Result<Page> {
         let metadata = world.metadata();
         let [rows, columns_px] = world.shape();
