@@ -290,7 +290,7 @@ fn nothing_is_guessed_and_bad_files_are_named() {
             "5 x 5 pixels (x, y), but the scan has 5 x 7",
         ),
         (&square, &xy, "give --scan-start X,Y and --scan-end X,Y"),
-        (&square, &["--axes", "xy", "--scan-end", "1,1"], "give --scan-start X,Y:"),
+        (&square, &["--axes", "xy", "--scan-end", "1,1"], "give --scan-start X,Y, as in"),
         (&square, &["--axes", "xy", "--scan-start", "1,1"], "give --scan-end X,Y, or --scan-step"),
         (&zarr, &["--axes", "yx"], "its axes are x, y"),
         (&zarr, &["--energy", "300"], "200 keV"),
