@@ -43,7 +43,7 @@ pub fn text_of(plan: &WorldPlan) -> String {
 
 fn mosaic_line(mosaic: &MosaicCost, used: bool) -> String {
     if !used {
-        return "saves no time in so small a field: every sub-tile is simulated".into();
+        return "saves no time here (a small field, or columns that share few simulations): every sub-tile is simulated".into();
     }
     let count = |n: usize| text::count(n as u64);
     let unique = match mosaic.unique_columns {

@@ -112,8 +112,8 @@ const DISPLACED: &str = "One configuration of thermally displaced atoms of SrTiO
 const PRISM: &str = "The same images by PRISM without interpolation, which should be multislice.";
 const PRISM_F2: &str = "A quarter of the Sr atoms is missing, since a perfect crystal cannot test the cropping of PRISM. Windows \
     of 11.7 A in a cell of 23.4 A, 3.9 nm thick; also the exact multislice of the same specimen.";
-const PRISM_F2_SI: &str = "A quarter of the atoms is missing; windows of 10.9 x 11.5 A, 10.0 nm thick. ADF and HAADF differ by more \
-    than elsewhere; why is not known.";
+const PRISM_F2_SI: &str =
+    "A quarter of the atoms is missing; windows of 10.9 x 11.5 A, 10.0 nm thick.";
 const ABERRATED: &str = "8 x 8 probes, 3.9 nm of SrTiO3: no aberrations, coefficients up to third order, and all of abTEM's up to \
     fifth; each turns the edge of the aperture by about a radian or more, so that a wrong sign, order or angle would show. \
     abTEM's plain multislice is the reference (its PRISM normalises aberrated probes wrongly).";
