@@ -315,5 +315,5 @@ def test_recorded_data_are_shown_as_they_are(tmp_path: Path) -> None:
         seen, _, _, _, info = env.acquire(1, 2, dose=2.0)
         assert np.array_equal(seen["tile"], world.tile(1, 2).array)
         assert info["dose_spent"] == 200 and info["acquired"].electrons_per_pixel == 0
-    with pytest.raises(sw.InvalidValue, match="noise of their own"):
+    with pytest.raises(sw.InvalidValue, match="contain noise already"):
         gym.make("stemworlds/DefectCensus-v0", world=world.path, noise="poisson").reset()

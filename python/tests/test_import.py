@@ -140,7 +140,7 @@ def test_a_velox_emd_of_gold(recorded: dict[str, Path], tmp_path: Path) -> None:
 def test_a_hyperspy_file_of_strontium_titanate(recorded: dict[str, Path], tmp_path: Path) -> None:
     refused = command("import", recorded["hdf5"], "-o", "w.h5", cwd=tmp_path, check=False)
     assert refused.returncode == 1 and not (tmp_path / "w.h5").exists()
-    assert "does not tell the size of a pixel" in refused.stderr and "--pixel-size" in refused.stderr
+    assert "does not contain a usable pixel size" in refused.stderr and "--pixel-size" in refused.stderr
     told = run(recorded["hdf5"], "-o", "w.h5", "--pixel-size", "0.0093", cwd=tmp_path)
     assert (told["format"], told["pixel_size_from"], told["pixel_size_in_file_nm"]) == ("HyperSpy", "given", None)
     with h5py.File(recorded["hdf5"]) as file:
@@ -181,7 +181,7 @@ def test_the_function_does_what_the_command_does(recorded: dict[str, Path], tmp_
     with sw.import_image(recorded["dm3"], out=tmp_path / "b.h5", spacing_nm=0.2737) as world:
         assert world.summary == {name: told[name] for name in told if name not in ("input", "output", "file_bytes")}
     assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
-    with pytest.raises(sw.InvalidValue, match="does not tell the size of a pixel") as caught:
+    with pytest.raises(sw.InvalidValue, match="does not contain a usable pixel size") as caught:
         sw.import_image(recorded["hdf5"], out=tmp_path / "c.h5")
     assert caught.value.keyword == "pixel_nm"
     with pytest.raises(sw.InvalidValue, match="no peak"):

@@ -80,9 +80,9 @@ def test_rings_make_any_annulus(tmp_path: Path) -> None:
     for refused in (rings.centre_of_mass, rings.to_hyperspy, rings.to_py4dstem, rings.integrated_centre_of_mass):
         with pytest.raises(sw.InvalidValue, match="radial_mrad"):
             refused()
-    with pytest.raises(sw.InvalidValue, match="68-200 is made of whole ones"):
+    with pytest.raises(sw.InvalidValue, match="68-200 mrad consists of whole rings"):
         rings.virtual_image(68.5, 199.7)
-    with pytest.raises(sw.InvalidValue, match="sectors need pixels"):
+    with pytest.raises(sw.InvalidValue, match="need patterns of pixels"):
         rings.virtual_image(10, 20, sector_degrees=(0, 90))
 
 
@@ -133,8 +133,8 @@ def test_mistakes_are_refused(cube: sw.DataCube, tmp_path: Path) -> None:
 
     refused("2 to 4096", pixels=1)
     refused("one of the two", pixels=32, radial_mrad=1)
-    refused("99 mrad is", radial_mrad=3)
-    refused("rings have none", radial_mrad=1, mtf=1)
+    refused("multiple is 99 mrad", radial_mrad=3)
+    refused("rings have no pixels", radial_mrad=1, mtf=1)
     refused("0 to 50 pixels", mtf=-1)
     refused("rows of", mtf=[0.1, 0.5])
     refused("rows of", mtf="sharp")

@@ -170,7 +170,7 @@ def test_only_what_is_given_is_passed_on(silicon: Any) -> None:
 def test_narrow_cells_are_told_as_on_the_command_line() -> None:
     warnings = sw.plan_simulation(ROOT / "structures/si.cif").warnings
     [told] = [text for text in warnings if "is narrow" in text]
-    assert "repeated 3,3,1 times" in told and "--" not in told
+    assert "repeat it 3,3,1 times" in told and "--" not in told
 
 
 def test_sources_blur(silicon: Any) -> None:

@@ -113,12 +113,11 @@ impl EpisodeSettings {
             return refuse(value, "expected whole numbers above 0, and a stride within a tile");
         }
         if self.noise == TileNoise::Poisson && field.recorded {
-            let expected =
-                "recorded data have noise of their own: take the tiles as they are stored";
+            let expected = "recorded data contain noise already; use the stored tiles";
             return refuse("counted noise".into(), expected);
         }
         if self.noise == TileNoise::Poisson && self.dose(field) <= 0.0 {
-            let expected = "the world does not tell its dose: take the physical exposure";
+            let expected = "the world file contains no dose; use the physical exposure";
             return refuse("exposure of the tier".into(), expected);
         }
         Ok(())

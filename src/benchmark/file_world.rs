@@ -139,7 +139,9 @@ impl FileWorld {
                 false => file.tile(row, column),
             })?;
             if let Some(odd) = tile.iter().find(|v| !v.is_finite()) {
-                let expected = format!("tile {row}, {column} holds {odd}: the file is damaged");
+                let expected = format!(
+                    "tile {row}, {column} holds {odd}: the file is damaged; copy or build it again"
+                );
                 return Err(Error::invalid(Setting::CleanImage, "an image", expected));
             }
             Ok(tile)
@@ -173,7 +175,8 @@ impl FileWorld {
         self.again.get((), || {
             let text = self.with_file(|file| {
                 file.metadata().recipe.clone().ok_or_else(|| {
-                    let message = "holds neither a noise-free image nor a recipe: take its tiles as they are stored";
+                    let message =
+                        "holds neither a noise-free image nor a recipe; use the stored tiles";
                     Error::choice(file.path(), Setting::CleanImage, message)
                 })
             })?;

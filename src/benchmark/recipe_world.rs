@@ -360,7 +360,7 @@ impl BenchmarkWorld for RecipeWorld {
     }
 
     fn stored(&self, _view: &TileView) -> Result<Array2<f32>> {
-        let expected = "a world of a recipe holds no tiles: count electrons, or build it as a file";
+        let expected = "a world of a recipe has no stored tiles; count electrons, or build the world as a file";
         Err(Error::invalid(Setting::Episode, "stored tiles", expected))
     }
 

@@ -68,7 +68,7 @@ impl PatternDetector {
         match self {
             PatternDetector::Pixels(pixels) => detector.weights(pixels),
             PatternDetector::Rings(_) if !detector.is_annulus() => {
-                let expected = "rings have no azimuths and one middle; sectors need pixels";
+                let expected = "patterns of rings contain no azimuths; sectors and shifted centres need patterns of pixels";
                 Err(Error::invalid(Setting::Detector, &detector.name, expected))
             }
             PatternDetector::Rings(rings) => rings.weights(&detector.name, detector.annulus_mrad),

@@ -38,12 +38,13 @@ impl RadialBins {
         let rings = max_angle_mrad / width_mrad;
         if (rings - rings.round()).abs() > ON_EDGE || rings.round() < 1.0 {
             let whole = rings.round().max(1.0) * width_mrad;
-            let expected =
-                format!("is no whole number of rings of {width_mrad} mrad; {whole} mrad is");
+            let expected = format!(
+                "is not a multiple of the ring width, {width_mrad} mrad; the nearest multiple is {whole} mrad"
+            );
             return Err(Error::invalid(Setting::MaxAngleMrad, max_angle_mrad, expected));
         }
         if rings.round() > MOST_RINGS as f64 {
-            let expected = format!("makes more than {MOST_RINGS} rings; take wider ones");
+            let expected = format!("makes more than {MOST_RINGS} rings; use wider rings");
             return Err(Error::invalid(Setting::RingWidthMrad, width_mrad, expected));
         }
         Ok(RadialBins { width_mrad, rings: rings.round() as usize })
@@ -116,7 +117,7 @@ impl RadialBins {
         if off(from) || off(to) || from.round() >= to.round() {
             let near = [from.floor(), to.ceil()].map(|edge| edge * self.width_mrad);
             return bad(format!(
-                "begins or ends inside a ring: they are {} mrad wide; {}-{} is made of whole ones",
+                "begins or ends inside a ring; the rings are {} mrad wide, and {}-{} mrad consists of whole rings",
                 self.width_mrad, near[0], near[1]
             ));
         }
@@ -157,14 +158,18 @@ mod tests {
     fn annuli_of_parts_of_rings_are_refused_with_the_next() {
         let bins = RadialBins::new(2.0, 100.0).unwrap();
         let refused = |annulus| bins.weights("A", annulus).unwrap_err().to_string();
-        assert!(refused([67.0, 90.0]).contains("66-90 is made"), "{}", refused([67.0, 90.0]));
+        assert!(
+            refused([67.0, 90.0]).contains("66-90 mrad consists of whole rings"),
+            "{}",
+            refused([67.0, 90.0])
+        );
         assert!(refused([68.0, 200.0]).contains("reach to 100.0 mrad"));
         assert!(refused([40.0, 40.0]).contains("must exceed"));
         assert!(bins.weights("A", [f64::NAN, 40.0]).is_err());
         assert_eq!(bins.weights("A", [68.0, 90.0]).unwrap().sum(), 11.0);
         let width = |width, most| RadialBins::new(width, most).unwrap_err().to_string();
         assert!(width(0.0, 100.0).contains("above 0") && width(f64::NAN, 1.0).contains("above 0"));
-        assert!(width(3.0, 100.0).contains("99 mrad is"), "{}", width(3.0, 100.0));
+        assert!(width(3.0, 100.0).contains("multiple is 99 mrad"), "{}", width(3.0, 100.0));
         assert!(width(0.01, 100.0).contains("4096"));
         assert!(width(1.0, f64::INFINITY).contains("1570"));
     }

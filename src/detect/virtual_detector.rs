@@ -98,8 +98,10 @@ impl VirtualDetector {
         let weights =
             Array2::from_shape_fn((pixels.pixels, pixels.pixels), |at| self.share(pixels, at));
         if weights.iter().all(|w| *w == 0.0) {
-            let expected =
-                format!("lies between the pixels, which are {:.2} mrad wide", pixels.pixel_mrad());
+            let expected = format!(
+                "lies between the pixels, which are {:.2} mrad wide; use a wider detector, or patterns with more pixels",
+                pixels.pixel_mrad()
+            );
             return Err(Error::invalid(Setting::Detector, given(), expected));
         }
         Ok(weights)

@@ -125,13 +125,13 @@ impl Cost {
         let images = (self.probes * self.probe_bytes) as u64;
         let waves = self.thread_bytes * threads as u64;
         if images >= waves.max(self.shared_bytes) {
-            "most of it is images: fewer probes, detectors or thicknesses take less"
+            "images need most of the memory; use fewer probes, detectors or thicknesses"
         } else if waves >= self.shared_bytes {
-            "most of it is the waves of each thread: windows that follow the probe, or fewer threads, take less"
+            "the waves of each thread need most of the memory; use windows that follow the probe, or fewer threads"
         } else if self.beams > 0 {
-            "most of it is the waves of PRISM: windows that follow the probe, or a larger interpolation factor, take less"
+            "the waves of PRISM need most of the memory; use windows that follow the probe, or a larger interpolation factor"
         } else {
-            "most of it is the potential of all slices: a smaller specimen, less of it at a time, or a coarser grid takes less"
+            "the potential of all slices needs most of the memory; use a smaller specimen, a smaller part of it at a time, or a coarser grid"
         }
     }
 

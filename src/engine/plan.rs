@@ -280,8 +280,8 @@ fn same_slice_warning(settings: &Settings, after: &[usize], slices: &Slices) -> 
         .map(|&last| format!("{:.3}", slices.boundaries[last + 1] - entrance))
         .collect();
     Some(format!(
-        "{} thicknesses were asked for, and some end with the same slice: images are recorded at {} A only; thinner slices \
-         tell more apart",
+        "{} thicknesses were asked for, but some end with the same slice: images are recorded at {} A only; use thinner slices to separate \
+         them",
         asked.len(),
         found.join(", ")
     ))

@@ -104,21 +104,21 @@ pub(super) fn narrow_crop(
     let narrowest_cell = cell[0].min(cell[1]);
     let cure = match settings.algorithm {
         _ if narrowest_cell < width.needed => format!(
-            "take a cell of {:.1} A or more (here {narrowest_cell:.1} A), and the engine multislice",
+            "use a cell of {:.1} A or more (here {narrowest_cell:.1} A), and the engine multislice",
             width.needed
         ),
         Algorithm::Prism { .. } => {
             let factors = cell.map(|edge| (edge / width.needed).floor().max(1.0));
             format!(
-                "a crop of {:.1} A does: interpolation {} along x and {} along y at most",
+                "use a crop of {:.1} A or more: interpolation {} along x and {} along y at most",
                 width.needed, factors[0], factors[1]
             )
         }
-        _ => format!("a window of {:.1} A does", width.needed),
+        _ => format!("use a window of {:.1} A or more", width.needed),
     };
     Some(format!(
-        "{what} is {narrow:.1} A wide, and the probe {:.1} A inside the specimen, by its defocus, aberrations and the \
-         thickness: intensities will be wrong; {cure}",
+        "{what} is {narrow:.1} A wide, but inside the specimen the probe is {:.1} A wide (defocus, aberrations and thickness): intensities \
+         will be wrong; {cure}",
         width.probe
     ))
 }
@@ -129,8 +129,8 @@ pub(super) fn narrow_cell(settings: &Settings, cell: [f64; 2], thickness: f64) -
     let narrow = cell[0].min(cell[1]);
     (narrow < width.probe).then(|| {
         format!(
-            "the cell is {narrow:.1} A wide, and the probe {:.1} A inside the specimen, by its defocus, aberrations and the \
-             thickness: it meets its own periodic images; repeat the cell to {:.1} A or more",
+            "the cell is {narrow:.1} A wide, but inside the specimen the probe is {:.1} A wide (defocus, aberrations and thickness): it \
+             meets its own periodic images; repeat the cell to {:.1} A or more",
             width.probe, width.needed
         )
     })
@@ -156,7 +156,7 @@ mod tests {
             |factor, defocus| narrow_crop(&settings(prism(factor), defocus), CELL, CELL, 16.0);
         // 300 A times 21 mrad on either side, and an Airy disk of 1.5 A: 14.1 A
         let warning = told(4, 300.0).unwrap();
-        for part in ["9.8 A wide", "probe 14.1 A", "20.4 A", "interpolation 1 along x"] {
+        for part in ["9.8 A wide", "probe is 14.1 A wide", "20.4 A", "interpolation 1 along x"] {
             assert!(warning.contains(part), "{part}: {warning}");
         }
         assert_eq!(told(2, 300.0), None);
@@ -172,7 +172,7 @@ mod tests {
         // 1.2e6 A times (21 mrad)^3 on either side
         let warning = narrow_crop(&aberrated, CELL, [7.8; 2], 16.0).unwrap();
         assert!(
-            warning.contains("probe 23.7 A") && warning.contains("a window of 30.0 A"),
+            warning.contains("probe is 23.7 A wide") && warning.contains("a window of 30.0 A"),
             "{warning}"
         );
         assert!(narrow_cell(&aberrated, CELL, 16.0).is_none());

@@ -156,7 +156,7 @@ impl<'a> LensEngine<'a> {
 
 /// The error for single probes with PRISM: it sums beams for whole rows and columns of probes.
 fn single_probes_of_prism() -> Error {
-    let expected = "its waves are of all probes; use multislice or windows for single probes, and for parts of a scan";
+    let expected = "PRISM computes all probes together; use multislice or windows for single probes and for parts of a scan";
     Error::invalid(crate::Setting::Algorithm, "prism", expected)
 }
 

@@ -46,8 +46,7 @@ impl OutputSet {
     /// Returns the warning about an earlier run that ended between its outputs.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
-        let message =
-            "an earlier run of this command was ended between its files; all are written again";
+        let message = "an earlier run of this command ended before all its files were written; all are written again";
         self.left.then(|| format!("{}: {message}", self.note.display()))
     }
 
@@ -61,7 +60,7 @@ impl OutputSet {
             Err(e) => e.kind() != ErrorKind::NotFound,
         };
         if foreign {
-            let why = "is where a note of this command goes, and holds something else; move it, or name another output";
+            let why = "this command writes a note here, but the place holds something else; move it, or name another output";
             return Err(Error::invalid(Setting::Output, self.note.display(), why));
         }
         atomic_write::write(&self.note, self.text.as_bytes())?;

@@ -26,7 +26,7 @@ impl Shard {
         }
         let expected = match count {
             0 => "a number of shards above 0".into(),
-            n => format!("shards are counted from 0: of {n}, 0/{n} to {}/{n}", n - 1),
+            n => format!("shards are counted from 0; expected 0/{n} to {}/{n}", n - 1),
         };
         Err(Error::invalid(Setting::Shard, format!("{index}/{count}"), expected))
     }

@@ -23,15 +23,11 @@ pub fn check(path: &Path, most: usize) -> Result<()> {
         return Err(Error::io(path, "read", std::io::ErrorKind::IsADirectory.into()));
     }
     if !about.is_file() {
-        return Err(Error::parse(
-            path,
-            0,
-            "is no regular file; save what it gives to a file first",
-        ));
+        return Err(Error::parse(path, 0, "is no regular file; save its contents to a file first"));
     }
     if about.len() > most as u64 {
         let message =
-            format!("has {} bytes; at most {most} are read from such a file", about.len());
+            format!("has {} bytes; at most {most} are read from a file of this kind", about.len());
         return Err(Error::parse(path, 0, message));
     }
     Ok(())

@@ -265,7 +265,7 @@ impl ImagingChoice {
         }
         let exact = ImagingChoice { simulator: self.simulator.exact(), ..self.clone() };
         progress.warn(&format!(
-            "the exact engine makes the whole field, which takes {} on this machine",
+            "the exact engine simulates the whole field, which needs {} on this machine",
             exact.time(recipe, specimen)?
         ));
         Ok((exact.blurred_direct(recipe, specimen)?, None))
@@ -313,7 +313,8 @@ impl ImagingCheck {
         let window = found.window_angstrom.map_or(String::new(), |w| format!(" of {w:.1} A"));
         let of = found.detector.as_ref().map_or(String::new(), |name| format!(", {name}"));
         progress.warn(&format!(
-            "{}{window}{of}: {:.2} % at bright columns, {:.2} % over all pixels, {:.2} % of the mean image, and at most {limit} % are asked for",
+            "{}{window}{of}: the error is {:.2} % at bright columns, {:.2} % over all pixels and {:.2} % of the mean image, but at most \
+             {limit} % was asked for",
             found.engine, found.bright_rms_percent, found.all_rms_percent, found.mean_rms_percent
         ));
         false

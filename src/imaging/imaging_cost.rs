@@ -57,7 +57,9 @@ impl ImagingCost {
     pub fn memory_remedy(&self, threads: usize) -> &'static str {
         let largest = self.largest(threads).cost;
         match self.image_bytes > largest.memory_bytes(threads) {
-            true => "most of it is the library of the mosaic: windows without a mosaic take less",
+            true => {
+                "the library of the mosaic needs most of the memory; use windows without a mosaic"
+            }
             false => largest.memory_remedy(threads),
         }
     }

@@ -256,7 +256,10 @@ impl Simulator {
         if (0.0..=(BEYOND_FIELD_NM - DISPLACED_NM) * 10.0).contains(&margin) {
             return Ok(());
         }
-        let expected = format!("the specimen goes on for {} A around it", BEYOND_FIELD_NM * 10.0);
+        let expected = format!(
+            "expected a smaller margin: the specimen extends {} A beyond the field",
+            BEYOND_FIELD_NM * 10.0
+        );
         Err(Error::invalid(crate::Setting::EngineMarginAngstrom, margin, expected))
     }
 

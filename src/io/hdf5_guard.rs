@@ -149,7 +149,8 @@ pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
     };
     if elsewhere {
         return Err(
-            "takes its values from another file, which is not read; copy them into this one".into(),
+            "refers to values in another file, which is not read; copy the values into this file"
+                .into(),
         );
     }
     // Bytes in the file may be read as larger numbers.
@@ -161,9 +162,9 @@ pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
     check_chunk(&chunk, &shape, bytes, file_bytes)?;
     let along = shape.iter().zip(&chunk).map(|(n, c)| n.div_ceil((*c).max(1)));
     match along.fold(1_usize, usize::saturating_mul) {
-        count if count > MOST_CHUNKS => {
-            Err(format!("is cut into {count} chunks; at most {MOST_CHUNKS} are read"))
-        }
+        count if count > MOST_CHUNKS => Err(format!(
+            "is cut into {count} chunks; at most {MOST_CHUNKS} are read; save it again in larger chunks"
+        )),
         _ => Ok(()),
     }
 }
@@ -177,8 +178,8 @@ fn check_chunk(chunk: &[usize], shape: &[usize], bytes: usize, file_bytes: u64) 
     let allowed = allowed_bytes(file_bytes);
     if needed > allowed {
         return Err(format!(
-            "is packed in chunks of {chunk:?} values: unpacking one takes {needed} bytes with the values, for a file of \
-             {file_bytes}; at most {allowed} are taken; save it again in smaller chunks"
+            "is packed in chunks of {chunk:?} values: unpacking one needs {needed} bytes with the values, and at most {allowed} are \
+             allowed for a file of {file_bytes} bytes; save it again in smaller chunks"
         ));
     }
     Ok(())
@@ -210,9 +211,9 @@ pub(super) fn check_bytes(shape: &[usize], value_bytes: usize, file_bytes: u64) 
     if announced > allowed {
         let packed = announced / u128::from(file_bytes.max(1));
         return Err(format!(
-            "announces {shape:?} values, {announced} bytes, in a file of {file_bytes}: packed {packed} : 1; at most {allowed} \
-             bytes are read from it ({LARGEST_EXPANSION} times its size up to 896 MiB, {PLAIN_EXPANSION} times beyond); if it is \
-             whole, save it without compression (h5repack -f NONE)"
+            "announces {shape:?} values, {announced} bytes, in a file of {file_bytes} bytes: packed {packed} : 1; at most {allowed} bytes \
+             are read from it ({LARGEST_EXPANSION} times its size up to 896 MiB, {PLAIN_EXPANSION} times beyond); if the file is \
+             complete, save it without compression (h5repack -f NONE)"
         ));
     }
     Ok(())

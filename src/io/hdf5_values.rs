@@ -62,7 +62,7 @@ pub(super) fn part<T: Plain, D: Dimension>(
     let shape = dataset.shape();
     let inside = |(range, n): (&Range<usize>, &usize)| range.start <= range.end && range.end <= *n;
     if ranges.len() != shape.len() || !ranges.iter().zip(&shape).all(inside) {
-        return Err(format!("has the shape {shape:?}, and no part {ranges:?}"));
+        return Err(format!("has the shape {shape:?}, which does not contain the part {ranges:?}"));
     }
     let stored = dataset.dtype().map_err(damaged)?;
     check_kind(&stored)?;

@@ -26,7 +26,7 @@ pub(super) fn unit_nm(unit: &str) -> Option<f64> {
 /// Returns the edge of a pixel in nm from its sides along x and y with their units.
 pub(super) fn square_nm(sides: [(f64, &str); 2]) -> StatedPixel {
     let [(x, unit_x), (y, unit_y)] = sides;
-    let said = || format!("it says {x} `{unit_x}` x {y} `{unit_y}`");
+    let said = || format!("it states {x} `{unit_x}` x {y} `{unit_y}`");
     let (Some(unit_x), Some(unit_y)) = (unit_nm(unit_x), unit_nm(unit_y)) else {
         return Err(format!("{}, which is no length", said()));
     };
@@ -36,7 +36,10 @@ pub(super) fn square_nm(sides: [(f64, &str); 2]) -> StatedPixel {
         return Err(said());
     }
     if (x_nm / y_nm - 1.0).abs() > SQUARE {
-        return Err(format!("{}: the pixels are not square, and those of a world are", said()));
+        return Err(format!(
+            "{}: the pixels are not square, and a world needs square pixels",
+            said()
+        ));
     }
     Ok(0.5 * (x_nm + y_nm))
 }

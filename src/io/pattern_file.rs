@@ -533,7 +533,7 @@ fn header(file: &File, data: &Dataset) -> Guarded<PatternHeader> {
     let value = |name: &str, range: Range<f64>| {
         let found: Option<f64> = number_of(file, name);
         let inside = found.filter(|v| range.contains(v));
-        inside.ok_or_else(|| format!("its attribute `{name}` is missing, or no such value"))
+        inside.ok_or_else(|| format!("its attribute `{name}` is missing or invalid"))
     };
     let max_angle_mrad = value("max_angle_mrad", 1e-6..2e3)?;
     let (rows, columns, detector) = match data.shape()[..] {
@@ -544,10 +544,15 @@ fn header(file: &File, data: &Dataset) -> Guarded<PatternHeader> {
         [rows, columns, rings] => {
             let found = RadialBins::new(value("ring_mrad", 1e-6..2e3)?, max_angle_mrad);
             let found = found.ok().filter(|found| found.rings == rings);
-            let found = found.ok_or_else(|| format!("holds {rings} rings of no such width"))?;
+            let found = found.ok_or_else(|| format!("holds {rings} rings, which do not fit its attributes `ring_mrad` and `max_angle_mrad`"))?;
             (rows, columns, PatternDetector::Rings(found))
         }
-        _ => return Err(format!("holds no patterns of a scan, but {:?}", data.shape())),
+        _ => {
+            return Err(format!(
+                "holds an array of shape {:?}, not the patterns of a scan",
+                data.shape()
+            ));
+        }
     };
     if rows == 0 || columns == 0 {
         return Err(format!("holds {rows} x {columns} patterns"));
@@ -555,7 +560,7 @@ fn header(file: &File, data: &Dataset) -> Guarded<PatternHeader> {
     let energy_kev = value("energy_kev", 1.0..1e4)?;
     let pairs = |name: &str| {
         let found = pair(file, name).filter(|p| p.iter().all(|v| v.is_finite()));
-        found.ok_or_else(|| format!("its attribute `{name}` is missing, or no such value"))
+        found.ok_or_else(|| format!("its attribute `{name}` is missing or invalid"))
     };
     let electrons: Option<f64> = number_of(file, "electrons_per_pattern");
     let seed: Option<u64> = number_of(file, "seed");

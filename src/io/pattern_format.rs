@@ -84,12 +84,12 @@ impl PatternFormat {
         let pixels = match header.detector {
             PatternDetector::Pixels(detector) => detector.pixels,
             PatternDetector::Rings(_) if self == PatternFormat::Emd => return Ok(()),
-            PatternDetector::Rings(_) => return bad("holds pixels; rings are written as .emd"),
+            PatternDetector::Rings(_) => return bad("stores pixels only; write rings as .emd"),
         };
         match self {
-            PatternFormat::SparseCsr if header.counted.is_none() => bad(
-                "holds counted electrons, of which most pixels have none; give a dose, or write .emd",
-            ),
+            PatternFormat::SparseCsr if header.counted.is_none() => {
+                bad("stores counted electrons only; give a dose, or write .emd")
+            }
             PatternFormat::Empad if pixels != EMPAD_PIXELS => {
                 bad("holds frames of 128 x 128 pixels; simulate as many, or write .emd")
             }

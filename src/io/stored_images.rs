@@ -109,7 +109,7 @@ impl StoredImages {
 
     fn read(&self, name: &str, index: Option<usize>) -> Guarded<StoredImage> {
         if !self.names.iter().any(|known| known == name) {
-            return Err(format!("is not there; there are {}", self.names.join(", ")));
+            return Err(format!("does not exist; the file contains {}", self.names.join(", ")));
         }
         let at = match self.kind {
             ImageKind::Simulated => format!("images/{name}"),
@@ -123,7 +123,10 @@ impl StoredImages {
         let of = if let [n, _, _] = shape[..] { n } else { 1 };
         let index = index.unwrap_or(of.saturating_sub(1));
         if index >= of {
-            return Err(format!("has {of} images, from 0 to {}", of.saturating_sub(1)));
+            return Err(format!(
+                "has {of} images; expected an index from 0 to {}",
+                of.saturating_sub(1)
+            ));
         }
         let values = match shape[..] {
             [rows, columns] => hdf5_values::part(&dataset, &self.path, &[0..rows, 0..columns])?,
@@ -148,6 +151,6 @@ impl StoredImages {
             }
         };
         let positive = |step: &[f64; 2]| step.iter().all(|s| (1e-5..1e7).contains(s));
-        step.filter(positive).ok_or_else(|| "does not tell its pixels".into())
+        step.filter(positive).ok_or_else(|| "has no usable pixel size".into())
     }
 }

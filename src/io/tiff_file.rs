@@ -49,7 +49,7 @@ pub fn write_tiff(
     let values = series.shape().iter().fold(4_usize, |n, length| n.saturating_mul(*length));
     if values > LARGEST {
         let expected =
-            format!("TIFF holds up to 4 GB, and this stack has {values} bytes; take HDF5");
+            format!("TIFF holds up to 4 GB, and this stack has {values} bytes; write HDF5 instead");
         return Err(Error::invalid(Setting::Output, path.display(), expected));
     }
     atomic_write::write_with(path, overwrite, |temporary| {

@@ -81,7 +81,7 @@ impl LiveSnapshot {
     /// The fault of a snapshot that may have been damaged or edited, in words.
     pub(super) fn fault(&self) -> Option<String> {
         if self.version > 1 && self.digest != self.computed_digest() {
-            return Some("it is damaged: it is not what its digest says".into());
+            return Some("it is damaged: its digest does not match its contents".into());
         }
         if !(self.most_dose.is_finite() && self.most_dose > 0.0) {
             return Some(format!(

@@ -355,8 +355,8 @@ impl LiveWorld {
             return Ok(());
         }
         let expected = format!(
-            "the world was made for up to {} electrons per square Angstrom at any place, earlier recordings included; \
-             make it for more",
+            "the world was made for up to {} electrons per square Angstrom at any place, earlier recordings included; make the world for a \
+             higher dose",
             self.most_dose
         );
         let value = if greatest > UNEVEN * self.most_dose { greatest } else { mean };
@@ -412,10 +412,7 @@ impl LiveWorld {
         }
         let most = UNEVEN * self.most_dose * (1.0 + ROUNDING);
         if !snapshot.dose.is_sound() || snapshot.dose.greatest() > most {
-            return refuse(
-                "its doses",
-                "expected doses from 0 to that which the world was made for",
-            );
+            return refuse("its doses", "expected doses from 0 to the greatest dose of the world");
         }
         let carbon = &snapshot.carbon_angstrom;
         if !carbon.is_sound() || carbon.greatest() > MOST_GROWN_ANGSTROM * (1.0 + ROUNDING) {

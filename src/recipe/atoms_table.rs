@@ -121,11 +121,11 @@ impl AtomsTable {
         }
         match changed {
             Some((place, found)) => refuse(format!(
-                "{place} has changed since the recipe was resolved: its SHA-256 is {found}, expected {wanted}; bring the file \
-                 back, or take `sha256` out of the table [atoms] to make another world of the file as it is now"
+                "{place} has changed since the recipe was resolved: its SHA-256 is {found}, expected {wanted}; restore the file, or remove \
+                 `sha256` from the table [atoms] to make another world from the changed file"
             )),
             None => refuse(format!(
-                "the file is gone: expected it there, or beside the recipe or world ({}), with the SHA-256 {wanted}",
+                "the file does not exist: expected it at this place, or beside the recipe or world ({}), with the SHA-256 {wanted}",
                 if folder.as_os_str().is_empty() {
                     ".".into()
                 } else {

@@ -158,7 +158,7 @@ impl CheckedRecipe {
         Error::invalid(
             crate::Setting::Recipe,
             self.structure.name(),
-            format!("such specimens have no {what}"),
+            format!("specimens of this kind have no {what}"),
         )
     }
 }

@@ -46,7 +46,7 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
 
 /// Checks the seed, which must fit into a number of TOML.
 pub fn check_seed(seed: u64) -> Checked {
-    let expected = || format!("expected at most {}, the greatest number of TOML", i64::MAX);
+    let expected = || format!("expected at most {}, the largest integer of TOML", i64::MAX);
     if i64::try_from(seed).is_err() { fault("seed", seed, expected()) } else { Ok(()) }
 }
 
@@ -291,7 +291,7 @@ const MOST_INTERFACE_POINTS: f64 = 2e7;
 fn check_wells(alloy: &Alloy, wells: Option<&Wells>, field: &Field) -> Checked {
     if alloy.profile != CompositionProfile::Wells {
         return match wells {
-            Some(_) => fault("wells", "[table]", "alloy.profile = \"wells\" is needed for it"),
+            Some(_) => fault("wells", "[table]", "this table needs alloy.profile = \"wells\""),
             None => Ok(()),
         };
     }

@@ -55,7 +55,7 @@ fn check_thickness(thickness_nm: f64, atoms: &LabelledAtoms) -> Checked {
     // Positions are only as exact as the digits of their file.
     if !(extent - 1e-6..=extent + MOST_BEHIND_NM).contains(&thickness_nm) || thickness_nm <= 0.0 {
         let expected = format!(
-            "the atoms reach over {extent:.4} nm along the beam; expected that, and at most {MOST_BEHIND_NM} nm more"
+            "expected {extent:.4} nm, the extent of the atoms along the beam, or up to {MOST_BEHIND_NM} nm more"
         );
         return fault("field.thickness_nm", thickness_nm, expected);
     }

@@ -11,8 +11,9 @@ pub fn check_defects(recipe: &Recipe, symbols: &mut Vec<String>) -> Checked {
         let uniform = matches!(recipe.structure, StructureKind::Epitaxy | StructureKind::Particles);
         if uniform && vacancies.cluster_fraction > 0.0 {
             let kind = recipe.structure.name();
-            let expected =
-                format!("expected 0: structure = \"{kind}\" has nothing that they gather about");
+            let expected = format!(
+                "expected 0: structure = \"{kind}\" has no boundaries about which vacancies gather"
+            );
             return fault("vacancies.cluster_fraction", vacancies.cluster_fraction, expected);
         }
     }
@@ -39,7 +40,8 @@ fn check_point_defects(defects: &[PointDefect], symbols: &mut Vec<String>) -> Ch
         let same = |d: &&PointDefect| (&d.element, &d.by) == (&defect.element, &defect.by);
         if defects[..n].iter().any(|d| same(&d)) {
             let kind = defect.by.as_ref().map_or("vacancies".to_owned(), |by| format!("by {by}"));
-            let expected = "every [[defects]] needs a kind of its own: add the rates in one table";
+            let expected =
+                "each [[defects]] needs a different kind of defect; add the rates in one table";
             return fault("defects", format!("{} {kind} twice", defect.element), expected);
         }
     }

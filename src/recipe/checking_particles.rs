@@ -17,8 +17,7 @@ const CIRCLE: f64 = 1.35;
 /// Checks the table of particles; returns their metal, and all elements that the specimen may hold.
 pub fn check_particles(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> {
     if recipe.zone_axis != "none" || recipe.y_axis.is_some() {
-        let expected =
-            "particles have orientations of their own; expected zone_axis = \"none\" and no y_axis";
+        let expected = "each particle has a different orientation; expected zone_axis = \"none\" and no y_axis";
         return fault("zone_axis", &recipe.zone_axis, expected);
     }
     let particles = needed("particles", recipe.particles.as_ref())?;
@@ -31,7 +30,7 @@ pub fn check_particles(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String
     check_defects(recipe, &mut symbols)?;
     let relaxation = recipe.vacancies.as_ref().map_or(0.0, |v| v.relaxation_angstrom);
     if relaxation != 0.0 {
-        let expected = "only atoms of other elements beside a vacancy are moved; expected 0";
+        let expected = "expected 0: a vacancy moves only neighbours of another element, and the metal has one element";
         return fault("vacancies.relaxation_angstrom", relaxation, expected);
     }
     symbols.push("C".to_owned());

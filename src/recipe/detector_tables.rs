@@ -149,8 +149,10 @@ pub fn check_detectors(detectors: &DetectorTables) -> Checked {
         check_name(&table.name)?;
         let alike = |other: &&NamedDetectorTable| other.name.eq_ignore_ascii_case(&table.name);
         if let Some(other) = tables[..n].iter().find(alike) {
-            let expected =
-                format!("every [[detector]] needs a name of its own, and one is `{}`", other.name);
+            let expected = format!(
+                "each [[detector]] needs a different name, and `{}` is used already",
+                other.name
+            );
             return fault("detector.name", &table.name, expected);
         }
         let (inner, outer) = (table.inner_mrad, table.outer_mrad);
@@ -233,8 +235,8 @@ mod tests {
         let haadf = named("HAADF", 68.0, 200.0);
         for (value, parts) in [
             ("[]".to_owned(), vec!["0 tables", "expected 1 to 16 tables [[detector]]"]),
-            (format!("[{haadf},{haadf}]"), vec!["a name of its own", "`HAADF`"]),
-            (format!("[{haadf},{}]", named("haadf", 30.0, 60.0)), vec!["a name of its own"]),
+            (format!("[{haadf},{haadf}]"), vec!["needs a different name", "`HAADF`"]),
+            (format!("[{haadf},{}]", named("haadf", 30.0, 60.0)), vec!["needs a different name"]),
             (
                 format!("[{haadf},{}]", named("ABF", 21.0, 10.0)),
                 vec!["ABF: 21 to 10 mrad", "inner_mrad < outer_mrad"],

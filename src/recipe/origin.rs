@@ -123,7 +123,7 @@ impl RecipeText {
             return Err(self.unknown_key(key, known.into_iter()));
         }
         let Some(difficulty) = difficulty else {
-            return fail(format!("say which difficulty; the recipe has {there}"));
+            return fail(format!("give a difficulty; the recipe has {there}"));
         };
         match tiers.remove(difficulty.name()) {
             Some(toml::Value::Table(t)) => Ok(Some(t)),

@@ -83,7 +83,9 @@ impl Override {
         let inner = path.iter().try_fold(table, |t, key| t.get_mut(key)?.as_table_mut());
         match inner.and_then(|t| t.remove(last)) {
             Some(_) => Ok(()),
-            None => Err(self.error("the recipe has no such key, so there is nothing to take away")),
+            None => {
+                Err(self.error("the recipe does not contain this key, so it cannot be removed"))
+            }
         }
     }
 
@@ -151,7 +153,9 @@ mod tests {
         let without = |key: &str| recipe.with_overrides(&[Override::without(key).unwrap()]);
         assert!(without("vacancies").unwrap().vacancies.is_none());
         assert!(without("boundaries.sigma").unwrap().boundaries.unwrap().sigma.is_none());
-        for (key, part) in [("vacancies.rat", "no such key"), ("seed", "missing field `seed`")] {
+        for (key, part) in
+            [("vacancies.rat", "does not contain this key"), ("seed", "missing field `seed`")]
+        {
             let message = without(key).unwrap_err().to_string();
             assert!(message.starts_with(key) && message.contains(part), "{message}");
         }

@@ -75,7 +75,8 @@ pub fn calibrate(image: &Array2<f64>, spacing_nm: f64, first_guess_nm: f64) -> R
     let expected = first_guess_nm / spacing_nm * n as f64;
     if expected < FEWEST_PERIODS || expected * (1.0 + REACH) > NYQUIST * n as f64 {
         return refuse(format!(
-            "it is {:.2} pixels of {first_guess_nm} nm, where the image shows spacings of 2.3 to {:.0} pixels",
+            "it is {:.2} pixels of {first_guess_nm} nm, but the image shows only spacings of 2.3 to {:.0} pixels; check the spacing and \
+             the pixel size",
             spacing_nm / first_guess_nm,
             n as f64 / FEWEST_PERIODS
         ));

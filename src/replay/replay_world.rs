@@ -347,8 +347,8 @@ fn grid(shape: [usize; 2], path: &Path) -> Result<[usize; 2]> {
     if tiles.contains(&0) {
         let [rows, columns] = shape;
         let message = format!(
-            "its image has {rows} x {columns} pixels, and a tile of a world {TILE_PX} x {TILE_PX}: take a larger part of what was \
-             recorded, or resample it to finer pixels before (the pixel size changes with that)"
+            "its image has {rows} x {columns} pixels, and a tile of a world has {TILE_PX} x {TILE_PX}: use a larger part of the recording, \
+             or resample it to finer pixels first (this changes the pixel size)"
         );
         return Err(Error::choice(path, Setting::ReplayImage, message));
     }
@@ -362,7 +362,7 @@ fn first_guess(recorded: &RecordedImage, options: &ReplayOptions) -> Result<f64>
         (None, Ok(nm)) => *nm,
         (None, Err(why)) => {
             let message = format!(
-                "does not tell the size of a pixel ({why}); say how many nm a pixel has along its edge"
+                "does not contain a usable pixel size ({why}); give the edge of a pixel in nm"
             );
             return Err(Error::choice(&recorded.path, Setting::ReplayPixelNm, message));
         }
@@ -426,8 +426,8 @@ fn inside(cells: RecordedCells, [rows, columns]: [usize; 2], path: &Path) -> Res
         .collect();
     if (kept.len() as f64) < LEAST_INSIDE * listed as f64 {
         let message = format!(
-            "lists {listed} places, of which {} lie in its image of {rows} x {columns} pixels: they belong to another \
-             image, or count something else than pixels",
+            "lists {listed} places, of which {} lie in its image of {rows} x {columns} pixels: they belong to another image, or their unit \
+             is not the pixel",
             kept.len()
         );
         return Err(Error::choice(path, Setting::ReplayImage, message));

@@ -210,18 +210,18 @@ impl SpecimenRequest {
             _ if self.temperature_k.is_some()
                 && !matches!(self.sigma_angstrom, Some(SigmaChoice::FromTable(_))) =>
             {
-                let expected = "a temperature is for displacements from the table only";
+                let expected = "a temperature needs displacements from the table; choose the table, or leave the temperature out";
                 refuse(Setting::Temperature, "given", expected)
             }
             (None, Some(_), _) => refuse(
                 Setting::PhononConfigurations,
                 "none",
-                "sigma is for frozen phonons: say how many",
+                "sigma is for frozen phonons; give the number of phonon configurations",
             ),
             (Some(n), _, Some(_)) => refuse(
                 Setting::PhononConfigurations,
                 &n.to_string(),
-                "frames of a trajectory are phonons; leave one of them out",
+                "the frames of a trajectory replace phonon configurations; leave one of the two out",
             ),
             (_, _, Some(range))
                 if range.step == 0 || range.end.is_some_and(|end| end < range.start) =>
@@ -229,7 +229,7 @@ impl SpecimenRequest {
                 refuse(
                     Setting::Frames,
                     "none",
-                    "expected a start, an end and a step with frames in it",
+                    "expected a step of 1 or more, and an end that is not before the start",
                 )
             }
             (_, _, Some(_))
@@ -237,7 +237,8 @@ impl SpecimenRequest {
                     || self.up.is_some()
                     || self.max_strain_percent.is_some() =>
             {
-                let expected = "frames are taken as they are; leave zone, up and the strain out";
+                let expected =
+                    "frames cannot be oriented or strained; leave zone, up and the strain out";
                 refuse(Setting::Frames, "given", expected)
             }
             _ => Ok(()),
@@ -287,7 +288,7 @@ impl SpecimenRequest {
             }
             (Some(SigmaChoice::FromFile(_)), AtomsSource::Given(_)) => {
                 let expected =
-                    "atoms at hand have no file; expected a length in A, or one for each element";
+                    "atoms in memory have no file; expected a length in A, or one for each element";
                 return Err(Error::invalid(Setting::ThermalSigma, "from-file", expected));
             }
         })
@@ -297,7 +298,7 @@ impl SpecimenRequest {
     fn prepare_frames(&self, source: &AtomsSource, range: FrameRange) -> Result<PreparedSpecimen> {
         let AtomsSource::File(path) = source else {
             let expected = "frames are read from a file, extended XYZ or XDATCAR";
-            return Err(Error::invalid(Setting::Frames, "atoms at hand", expected));
+            return Err(Error::invalid(Setting::Frames, "atoms in memory", expected));
         };
         let (mut frames, mut size_angstrom): (Vec<Vec<Site>>, _) = (Vec::new(), [0.0; 3]);
         let preparation =

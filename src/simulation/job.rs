@@ -147,8 +147,7 @@ impl SimulationJob {
         match names.iter().find(|name| names.contains(&images::noisy_name(name))) {
             None => Ok(()),
             Some(name) => {
-                let expected =
-                    "is the name of another's noisy image; give one of them another name";
+                let expected = "is also the name of the noisy image of another detector; rename one of the two";
                 Err(Error::invalid(Setting::DetectorName, images::noisy_name(name), expected))
             }
         }

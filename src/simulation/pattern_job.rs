@@ -97,7 +97,7 @@ impl PatternsRequest {
             return Ok(pixels.into());
         };
         if self.mtf.is_some() {
-            let expected = "spreads electrons over pixels; rings have none";
+            let expected = "spreads electrons over pixels, and rings have no pixels; leave it out";
             return Err(Error::invalid(Setting::DetectorMtf, "given", expected));
         }
         Ok(PatternDetector::Rings(RadialBins::new(width, self.max_angle_mrad)?))
@@ -117,7 +117,7 @@ pub(super) fn numerics(
     let mut numerics = request.numerics.clone();
     if let Some(percent) = numerics.accuracy_percent {
         let expected =
-            "chooses windows for annular detectors; give the window of patterns by its width";
+            "chooses windows for annular detectors only; give the width of the window of patterns";
         return Err(Error::invalid(Setting::AccuracyPercent, percent, expected));
     }
     let free = numerics.engine.is_none()
@@ -152,7 +152,7 @@ pub(super) fn check(request: &SimulationRequest) -> Result<()> {
     let share = request.microscope.source_lorentz_share;
     if share != 0.0 {
         let expected =
-            "is the share of long tails, which images have; the source of patterns is a Gaussian";
+            "the source of patterns is a Gaussian without long tails; leave the share out";
         return Err(Error::invalid(Setting::SourceLorentzShare, share, expected));
     }
     Ok(())

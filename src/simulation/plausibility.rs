@@ -68,7 +68,7 @@ pub fn check_semiangle(semiangle_mrad: f64) -> Result<()> {
     }
     let meant = rounded(1e3 * semiangle_mrad);
     let expected = format!(
-        "the semiangle is in mrad; did you mean {meant}? (at least {LEAST_SEMIANGLE_MRAD} is taken)"
+        "the semiangle is in mrad; did you mean {meant}? (the least semiangle is {LEAST_SEMIANGLE_MRAD})"
     );
     Err(Error::invalid(Setting::SemiangleMrad, semiangle_mrad, expected))
 }
@@ -151,8 +151,8 @@ pub(super) fn check_scan(scan: &Scan, size: [f64; 2]) -> Result<Option<Warning>>
     for (name, length, cell) in [("x", x1 - x0, size[0]), ("y", y1 - y0, size[1])] {
         if length > 2.0 * cell + SAME_ANGSTROM {
             let expected = format!(
-                "the cell is {cell:.3} A long along {name} and repeats: nothing new is seen beyond one cell. Did you mean an end \
-                 within {:.3},{:.3} A? (a repeated cell is larger)",
+                "the cell is {cell:.3} A long along {name} and repeats: a longer scan shows it again. Did you mean an end within \
+                 {:.3},{:.3} A? Repeat the cell for a larger one",
                 size[0], size[1]
             );
             let value = format!("{length:.1} A along {name}");
@@ -162,8 +162,8 @@ pub(super) fn check_scan(scan: &Scan, size: [f64; 2]) -> Result<Option<Warning>>
     for (name, from, to, cell) in [("x", x0, x1, size[0]), ("y", y0, y1, size[1])] {
         if from < -SAME_ANGSTROM || to > cell + SAME_ANGSTROM {
             let message = format!(
-                "the scan runs from {from:.3} to {to:.3} A along {name}, and the cell from 0 to {cell:.3} A: what lies outside \
-                 is the cell again"
+                "the scan runs from {from:.3} to {to:.3} A along {name}, and the cell from 0 to {cell:.3} A: outside the cell, the image \
+                 shows the cell again"
             );
             return Ok(Some(Warning::about(Setting::Scan, message)));
         }
@@ -185,8 +185,8 @@ pub(super) fn check_cell(size: [f64; 2], repeat: [usize; 3]) -> Option<Warning> 
     (x.min(y) < NARROW_CELL_ANGSTROM).then(|| {
         let times = |length: f64, given: usize| (1.5 * NARROW_CELL_ANGSTROM / length).ceil() * given as f64;
         let message = format!(
-            "the cell of {x:.2} x {y:.2} A is narrow: a probe meets its own periodic images; a cell repeated {},{},{} times, with \
-             the end of the scan at {x:.4},{y:.4} A, has the same area in a wider cell",
+            "the cell of {x:.2} x {y:.2} A is narrow: a probe meets its own periodic images; repeat it {},{},{} times and end the scan at \
+             {x:.4},{y:.4} A for an image of this area in a wider cell",
             times(x, repeat[0]),
             times(y, repeat[1]),
             repeat[2]
@@ -260,7 +260,7 @@ mod tests {
     fn narrow_cells_are_told_with_the_wider_one() {
         let told = check_cell([5.431, 5.431], [1, 1, 10]).unwrap();
         assert_eq!(told.setting, Some(Setting::Repeat));
-        assert!(told.message.contains("repeated 3,3,10 times"), "{told:?}");
+        assert!(told.message.contains("repeat it 3,3,10 times"), "{told:?}");
         assert_eq!(check_cell([10.0, 30.0], [1; 3]), None);
     }
 

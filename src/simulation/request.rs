@@ -94,7 +94,7 @@ impl SimulationRequest {
         let AtomsSource::File(structure) = &self.structure else {
             let expected =
                 "a request in a file names the structure file; write the atoms to one first";
-            return Err(Error::invalid(crate::Setting::StructureFile, "atoms at hand", expected));
+            return Err(Error::invalid(crate::Setting::StructureFile, "atoms in memory", expected));
         };
         let inside = absolute(structure).strip_prefix(absolute(folder)).ok().map(Path::to_owned);
         let structure = AtomsSource::File(inside.unwrap_or_else(|| absolute(structure)));

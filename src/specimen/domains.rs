@@ -392,8 +392,7 @@ fn shifts(first: &Structure, second: &Structure) -> Result<Vec<[f64; 3]>> {
     if first.atoms.len() != second.atoms.len() {
         let value = format!("{} sites in the cell along its zone axis", second.atoms.len());
         let expected = format!(
-            "{SAME_SITES} in cells of the same number of sites; the first has {} along its own; choose zone_axis and y_axis of both so \
-             that the cells match",
+            "{SAME_SITES}; the cell of the first has {} sites; choose zone_axis and y_axis of both so that the cells match",
             first.atoms.len()
         );
         return fault(value, &expected);

@@ -284,8 +284,10 @@ impl PlacedParticle {
         let [low, high] = table.diameter_nm;
         let wanted = low + (high - low) * drawn(draw::DIAMETER);
         let cluster = build(morphology, metal, wanted, table.diameter_nm).map_err(|_| {
-            let expected =
-                format!("no {} particle has a diameter between; widen it", morphology.name());
+            let expected = format!(
+                "no {} particle has a diameter in this range; widen the range",
+                morphology.name()
+            );
             Error::invalid(crate::Setting::ParticleDiameterNm, format!("[{low}, {high}]"), expected)
         })?;
         let rotation = orientation(morphology, table.max_tilt_deg, seed, index as u64);
@@ -491,7 +493,7 @@ fn place(
         let tries = if inside { 0..TRIES } else { 0..0 };
         let Some(found) = tries.map(centre).find(|c| free(c)) else {
             let expected = format!(
-                "after {} no place was found for another of diameter {:.2} nm, {} nm from the others; lower it, or \
+                "after {} particles no place was found for another with a diameter of {:.2} nm, {} nm from the others; lower the number, \
                  particles.diameter_nm or particles.gap_nm, or raise field.fov_nm",
                 placed.len(),
                 particles[index].diameter_nm,

@@ -153,7 +153,7 @@ pub fn half_angle(lattice: PlaneLattice, sigma: u32, degrees: f64) -> Result<Hal
                 "no coincidence boundary about the beam has this index (h up to {MAX_INDEX})"
             ),
             false => format!(
-                "misorientation_deg = {degrees} is not an angle of it; expected {}, or no sigma",
+                "misorientation_deg = {degrees} is not an angle of this sigma; expected {}, or leave sigma out",
                 angles.join(" or ")
             ),
         }

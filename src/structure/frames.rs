@@ -68,7 +68,10 @@ pub fn read_frames(path: &Path, range: FrameRange) -> Result<Vec<ReadStructure>>
         Format::Poscar | Format::Cif => chosen.take_xdatcar(&lines)?,
     }
     if chosen.frames.is_empty() {
-        let message = format!("holds {} frames, and none of those asked for", chosen.passed);
+        let message = format!(
+            "holds {} frames, none of them in the chosen range; frames count from 0",
+            chosen.passed
+        );
         return Err(Error::parse(path, 0, message));
     }
     Ok(chosen.frames)

@@ -85,7 +85,7 @@ impl LabelledAtoms {
 /// Returns the message about a site that may or may not hold an atom.
 pub(super) fn partly_occupied(which: &str, occupancy: f64) -> String {
     format!(
-        "{which} has the occupancy {occupancy}: atoms of a world are there or not; expected 1, or 0 for a vacant site. Draw the \
-         atoms of mixed sites first"
+        "{which} has the occupancy {occupancy}: each site of a world holds one atom or is vacant; expected 1, or 0 for a vacant site. Draw \
+         the atoms of mixed sites first"
     )
 }

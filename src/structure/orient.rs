@@ -189,8 +189,8 @@ impl Structure {
             Setting::Zone,
             format!("{z:?}"),
             format!(
-                "no orthogonal box with indices up to {LARGEST_INDEX} has this z axis{nearest}; \
-                 choose another zone, or allow more strain, which makes the angles right"
+                "no orthogonal box with indices up to {LARGEST_INDEX} has this z axis{nearest}; choose another zone, or allow more strain, \
+                 which makes the angles 90 degrees"
             ),
         )
     }

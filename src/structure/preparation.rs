@@ -56,7 +56,7 @@ impl Preparation {
             if made.strain > TOLD_STRAIN {
                 strain_percent = Some(100.0 * made.strain);
                 notes.push(format!(
-                    "the cell was strained by {:.3} % to make its angles right",
+                    "the cell was strained by {:.3} % to make its angles 90 degrees",
                     100.0 * made.strain
                 ));
             }
@@ -85,10 +85,9 @@ fn atoms_outside(structure: &Structure) -> Option<String> {
     let (count, most) = far.fold((0, 0.0), |(n, most): (usize, f64), d| (n + 1, most.max(d)));
     (count > 0).then(|| {
         format!(
-            "{count} of {} atoms lie outside the cell, up to {most:.1} A; the cell is periodic, so they come in again on \
-             its other side. If atoms were turned without their cell, put them into a larger one \
-             (ASE: atoms.rotate(..., rotate_cell=True), or atoms.center(vacuum=5)); if the cell begins elsewhere than at 0, \
-             say so (Origin=\"x y z\" in extended XYZ)",
+            "{count} of {} atoms lie outside the cell, up to {most:.1} A; the cell is periodic, so they appear on its other side. If atoms \
+             were rotated without their cell, put them into a larger one (ASE: atoms.rotate(..., rotate_cell=True), or \
+             atoms.center(vacuum=5)); if the cell does not begin at 0, give its origin (Origin=\"x y z\" in extended XYZ)",
             structure.atoms.len()
         )
     })

@@ -101,7 +101,7 @@ pub fn read_noted(path: &Path) -> Result<ReadStructure> {
 /// [`Error::Io`], [`Error::Parse`] for another format, and for atoms without a value.
 pub fn sigmas_of_file(path: &Path) -> Result<Sigmas> {
     if Format::from_path(path)? != Format::Cif {
-        let message = "tells no thermal displacements; only a CIF does (U or B of its sites)";
+        let message = "contains no thermal displacements; only a CIF can (U or B of its sites)";
         return Err(Error::parse(path, 0, message));
     }
     let text = whole_file::read_text(path, Format::Cif.most_bytes())?;

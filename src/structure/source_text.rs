@@ -119,7 +119,10 @@ impl<'a> SourceText<'a> {
         if let Some((line, atom)) =
             atoms.iter().find(|(_, a)| a.position.iter().any(|x| x.is_nan() || x.abs() > FARTHEST))
         {
-            let message = format!("position {:?} A is absurdly far away", atom.position);
+            let message = format!(
+                "position {:?} A is farther away than {FARTHEST} A; check the unit",
+                atom.position
+            );
             return Err(self.error(*line, message));
         }
         let (lines, atoms): (Vec<usize>, Vec<Atom>) =

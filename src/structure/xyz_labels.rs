@@ -95,7 +95,7 @@ impl LabelReader {
         }
         if self.names.len() == MOST_GROUPS {
             let message = format!(
-                "{name} has more than {MOST_GROUPS} values; a map of so many tells nothing"
+                "{name} has more than {MOST_GROUPS} values, too many for a map; use fewer groups"
             );
             return Err(text.error(line, message));
         }

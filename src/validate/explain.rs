@@ -55,7 +55,7 @@ impl Turn {
 
     fn name(self) -> &'static str {
         match (self.transposed, self.mirrored) {
-            (false, [false, false]) => "as it is",
+            (false, [false, false]) => "unchanged",
             (false, [true, false]) => "mirrored along x",
             (false, [false, true]) => "mirrored along y",
             (false, [true, true]) => "turned by 180 degrees",

@@ -189,7 +189,7 @@ fn explained(
     Ok(match partly {
         None => shifted,
         Some(part) => format!(
-            "{shifted}; of the settings that were tried, {} leaves least: {:.2} % of the mean",
+            "{shifted}; of the settings that were tried, {} leaves the smallest difference: {:.2} % of the mean",
             part.words,
             100.0 * part.rms
         ),
@@ -216,7 +216,7 @@ fn told(likely: &LikelySettings, best: &TriedChange) -> String {
         likely.probes
     );
     if let Some(next) = likely.tried.get(1) {
-        text += &format!("; next to it, {} leaves {:.2} %", next.words, 100.0 * next.rms);
+        text += &format!("; the next best, {}, leaves {:.2} %", next.words, 100.0 * next.rms);
     }
     text
 }
@@ -360,11 +360,11 @@ fn told_by_both(same_numerics: bool, converged: &Difference, tolerance: f64) -> 
     let off = format!("{:.2} % of the maximum", 100.0 * converged.largest);
     match (same_numerics, converged.largest <= tolerance) {
         (true, true) => {
-            "in abTEM's numerics and converged, ours is the same as the reference".into()
+            "with abTEM's numerics and converged, our image agrees with the reference".into()
         }
         (true, false) => format!(
-            "in abTEM's numerics ours is the same as the reference; converged in grid and slices the image differs by up to {off}: \
-             that is the error of abTEM's grid and slices"
+            "with abTEM's numerics our image agrees with the reference; converged in grid and slices, it differs by up to {off}: that is \
+             the error of abTEM's grid and slices"
         ),
         (false, _) => format!(
             "abTEM's grid and slices do not explain the difference; the converged image differs from the reference by up to {off}"

@@ -111,15 +111,15 @@ impl Manifest {
             Error::Parse { path: name.into(), line, message: e.message().to_owned() }
         })?;
         if manifest.version != VERSION {
-            let expected = format!(
-                "this program reads version {VERSION}; take the manifest that comes with it"
-            );
+            let expected =
+                format!("this program reads version {VERSION}; use the manifest of this program");
             let value = format!("{name}, version {}", manifest.version);
             return Err(Error::invalid(Setting::Manifest, value, expected));
         }
         if manifest.numerics != NUMERICS_VERSION {
             let expected = format!(
-                "this program has numerics version {NUMERICS_VERSION}, and makes other worlds; take the program that the manifest came with"
+                "this program has numerics version {NUMERICS_VERSION}, and makes other worlds; use the version of the program that the \
+                 manifest belongs to"
             );
             let value = format!("{name}, numerics {}", manifest.numerics);
             return Err(Error::invalid(Setting::Manifest, value, expected));
@@ -201,7 +201,9 @@ impl PinnedWorld {
             |(kind, digest): (&String, &String)| self.image_sha256.get(kind).map(|d| d == digest);
         let whole = found.image_sha256.iter().find_map(known);
         if whole == Some(false) && near {
-            what.push("tiles, whose digest is not that of this kind of processor".to_owned());
+            what.push(
+                "tiles, whose digest differs from the digest for this kind of processor".to_owned(),
+            );
         }
         let contents = self.contents.compare(&found.contents);
         what.extend(contents.differs);

@@ -146,7 +146,7 @@ fn check_tiles(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFaul
         }
     }
     let clean = if world.has_clean() { ", the noise-free ones too" } else { "" };
-    Ok(Ok(format!("values from {least} to {most}; shared pixels are the same{clean}")))
+    Ok(Ok(format!("values from {least} to {most}; shared pixels are equal{clean}")))
 }
 
 /// Checks that each pixel of the overview is the mean of the pixels that it represents.
@@ -182,7 +182,7 @@ fn check_attributes(world: &WorldFile) -> Result<FoundOrFault> {
         return Ok(Ok(format!("{SKIPPED}the file holds no recipe")));
     };
     let Ok(recipe) = Recipe::from_toml_str("world", text, None) else {
-        return Ok(Ok(format!("{SKIPPED}its recipe is none that this version of stemgen takes")));
+        return Ok(Ok(format!("{SKIPPED}this version of stemgen cannot read its recipe")));
     };
     let field = &recipe.field;
     let dose = recipe.dose.electrons_per_angstrom2;
@@ -206,8 +206,8 @@ fn check_attributes(world: &WorldFile) -> Result<FoundOrFault> {
         ("factor of /overview", world.overview_factor() == Some(OVERVIEW_FACTOR as u64)),
     ];
     Ok(match rules.iter().find(|(_, same)| !same) {
-        Some((name, _)) => Err(format!("`{name}` is missing, or not that of the recipe")),
-        None => Ok("those of the recipe".to_owned()),
+        Some((name, _)) => Err(format!("`{name}` is missing, or differs from the recipe")),
+        None => Ok("as in the recipe".to_owned()),
     })
 }
 
@@ -222,7 +222,7 @@ fn check_counts(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFau
     let (Some([scale, offset]), Some(dose), Some(true)) =
         (m.scaling, m.dose_electrons_per_angstrom2, m.noise)
     else {
-        return skipped("the file does not say that it holds counted electrons, or at which dose");
+        return skipped("the file does not state that it holds counted electrons, or their dose");
     };
     let electrons = dose * (10.0 * m.pixel_size_nm).powi(2);
     let mut noise = NoiseStatistics::default();
@@ -253,7 +253,7 @@ fn check_counts(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFau
     }
     let [mean, scatter] = noise.standard_errors();
     let message = format!(
-        "mean and scatter are off by {mean:+.1} and {scatter:+.1} standard errors from those of the noise-free image"
+        "mean and scatter differ by {mean:+.1} and {scatter:+.1} standard errors from the noise-free image"
     );
     Ok(match mean.abs().max(scatter.abs()) <= STANDARD_ERRORS {
         true => Ok(format!("whole numbers of electrons; {message}")),

@@ -52,7 +52,9 @@ pub fn check_sites(world: &WorldFile) -> Result<FoundOrFault> {
     })?;
     Ok(match fault {
         Some((site, what)) => Err(format!("site {site} {what}")),
-        None => Ok(format!("{count} in the field, {defects} of them defects, as their types say")),
+        None => Ok(format!(
+            "{count} in the field, {defects} of them defects, in agreement with their types"
+        )),
     })
 }
 
@@ -125,7 +127,7 @@ impl SitesOfColumn {
         let text = column.composition.as_str();
         // The file holds an empty text where the composition was too long.
         (numbered && !text.is_empty() && atoms(text) != Some(self.atoms))
-            .then(|| format!("is listed as `{text}`, which its sites are not"))
+            .then(|| format!("is listed as `{text}`, but its sites hold other atoms"))
     }
 }
 
@@ -153,14 +155,14 @@ pub fn check_columns(world: &WorldFile) -> Result<FoundOrFault> {
         }
     })?;
     if !listed {
-        return Ok(Ok(format!("{SKIPPED}the file does not say to which columns sites belong")));
+        return Ok(Ok(format!("{SKIPPED}the file does not list the columns of its sites")));
     }
     let wrong = columns.iter().zip(&found).enumerate();
     let wrong = wrong.map(|(n, (column, own))| Some((n, own.fault(column, numbered)?)));
     Ok(match (fault, wrong.flatten().next()) {
         (Some(fault), _) => Err(fault),
         (None, Some((n, what))) => Err(format!("column {n} {what}")),
-        (None, None) => Ok(format!("{} with what their sites come to", columns.len())),
+        (None, None) => Ok(format!("{}, in agreement with their sites", columns.len())),
     })
 }
 

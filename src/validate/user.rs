@@ -67,8 +67,8 @@ pub fn reference(
     let image = choose(array, plane, index)?;
     check_finite(array, image.view())?;
     let (order, orientation) = match (labelled, order, by_size(image.dim(), expected)) {
-        (Some([x, y]), None, _) if x < y => (Order::Xy, "the file says that its axes are x, y"),
-        (Some(_), None, _) => (Order::Yx, "the file says that its axes are y, x"),
+        (Some([x, y]), None, _) if x < y => (Order::Xy, "the file names its axes x, y"),
+        (Some(_), None, _) => (Order::Yx, "the file names its axes y, x"),
         (Some([x, y]), Some(given), _) => {
             let by_steps = if x < y { Order::Xy } else { Order::Yx };
             if by_steps != given {
@@ -76,11 +76,11 @@ pub fn reference(
                 return Err(array.choice(
                     Setting::ImageAxes,
                     format!(
-                        "says that its axes are {names}, against the order given; give none, or mend the file"
+                        "names its axes {names}, which contradicts the given order; give no order, or correct the file"
                     ),
                 ));
             }
-            (given, "as given, and as the file says")
+            (given, "as given, and as in the file")
         }
         (None, Some(given), _) => (given, "as given"),
         (None, None, Some(order)) => (order, "the numbers of pixels of the scan"),
@@ -140,7 +140,7 @@ fn choose(array: &ForeignArray, plane: [usize; 2], index: &[usize]) -> Result<Ar
         let message = match others.len() {
             0 => "holds one image: an index is not needed".to_owned(),
             n => format!(
-                "holds an array of shape {shape:?}: its index takes {n} number{} from 0, below {}",
+                "holds an array of shape {shape:?}: its index has {n} number{} from 0, below {}",
                 if n == 1 { "" } else { "s" },
                 lengths.join(", ")
             ),
@@ -189,8 +189,8 @@ pub fn in_fractions(
         return Err(array.choice(
             Setting::ImageUnits,
             format!(
-                "holds values from {:.4} to {:.4}, which are no fractions of the beam; give their unit: \
-                 percent, or fitted for anything proportional",
+                "holds values from {:.4} to {:.4}, which are no fractions of the beam; give their unit: percent, or fitted for values \
+                 proportional to the intensity",
                 range[0], range[1]
             ),
         ));

@@ -32,14 +32,12 @@ impl AuditJob {
         window_angstrom: Option<f64>,
     ) -> Result<Self> {
         if let Some(made) = made.filter(|made| made.engine == "multislice") {
-            let expected =
-                "the world was made by the exact engine, which is what audits compare with";
+            let expected = "the world was made by the exact engine, which is the reference of audits; it needs no audit";
             return Err(Error::invalid(Setting::Algorithm, &made.engine, expected));
         }
         let imaging = match (made, window_angstrom) {
             (Some(_), Some(window)) => {
-                let expected =
-                    "the world was made with a window of its own; name its recipe instead";
+                let expected = "the world file contains the settings of its engine; name its recipe instead to choose a window";
                 return Err(Error::invalid(Setting::WindowAngstrom, window, expected));
             }
             (Some(_), None) => imaging_of(&recipe, made, cache)?,

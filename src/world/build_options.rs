@@ -163,7 +163,7 @@ impl BuildOptions {
         let chosen = self.window_angstrom.is_some() || self.accuracy_percent.is_some();
         let numerics = chosen || self.interpolation.is_some() || self.max_error_percent.is_some();
         if self.published() && (numerics || self.method != Auto) {
-            let expected = "the published profile has settings of its own; leave out all others";
+            let expected = "the published profile sets the numerics; leave out all other settings";
             return refuse(Setting::BuildProfile, "published".into(), expected);
         }
         if chosen && self.interpolation.is_some() {
@@ -175,7 +175,7 @@ impl BuildOptions {
             return refuse(Setting::WindowAngstrom, width.to_string(), expected);
         }
         if let Some(percent) = self.accuracy_percent.filter(|_| !windows) {
-            let expected = "chooses a window, which the method that was chosen has not";
+            let expected = "chooses a window, but the chosen method has no windows";
             return refuse(Setting::AccuracyPercent, percent.to_string(), expected);
         }
         if self.interpolation.is_some() && !matches!(self.method, Auto | Prism) {
@@ -292,8 +292,8 @@ fn bright_field_window(recipe: &CheckedRecipe) -> Option<(Algorithm, Option<Stri
     let width = default_window(&others).ok()?.width_angstrom;
     let width_angstrom = width.max(BRIGHT_FIELD_WINDOW_ANGSTROM);
     let warning = format!(
-        "{} sees the beam itself, which takes windows of {width_angstrom:.1} A, about four times the time; a mosaic of them is 0.2 % \
-         off at columns and 0.5 % over all pixels (hard SrTiO3, ABF 10-21 mrad)",
+        "{} sees the direct beam, which needs windows of {width_angstrom:.1} A and about four times the time; a mosaic of them has errors \
+         of 0.2 % at columns and 0.5 % over all pixels (hard SrTiO3, ABF 10-21 mrad)",
         bright.join(", ")
     );
     Some((Algorithm::Window { width_angstrom }, Some(warning)))
@@ -310,7 +310,7 @@ fn by_rule(recipe: &CheckedRecipe) -> (Algorithm, Option<String>) {
             let width_angstrom = choice.width_angstrom;
             let warning = (!choice.beyond_measured.is_empty()).then(|| {
                 format!(
-                    "windows of {width_angstrom:.1} A: their error was not measured for {}; the audit tells it",
+                    "windows of {width_angstrom:.1} A: their error was not measured for {}; the audit measures it",
                     choice.beyond_measured.join(", ")
                 )
             });

@@ -46,8 +46,8 @@ pub(super) fn layer_warning(recipe: &Recipe) -> Option<String> {
     let percent = LAYER_ERROR_PERCENT[0] + LAYER_ERROR_PERCENT[1] * nm;
     (nm > 0.0).then(|| {
         format!(
-            "the {nm} nm of carbon before the specimen scatter the probe, which a mosaic leaves out: bright columns are about {percent:.1} % off; \
-             simulating all of the field in windows shows it, and takes as long as that takes"
+            "the {nm} nm of carbon before the specimen scatter the probe, which a mosaic leaves out: bright columns are about {percent:.1} \
+             % off; windows without a mosaic include this scattering, but need more time"
         )
     })
 }

@@ -25,13 +25,13 @@ impl WorldEngine {
         let refused = |why: String| Error::parse(world.path(), 0, why);
         let metadata = world.metadata();
         let Some(text) = &metadata.recipe else {
-            let why = "holds no recipe, so nothing can be simulated of it: it was recorded, or made by another program";
+            let why = "holds no recipe, so it cannot be simulated again: it was recorded, or made by another program";
             return Err(refused(why.into()));
         };
         let recipe = Recipe::from_toml_str(&world.path().display().to_string(), text, None)?;
         let settings = metadata.engine_parameters.as_deref().map(serde_json::from_str).transpose();
         let settings = settings.map_err(|e| {
-            refused(format!("engine_parameters are not those of this program: {e}"))
+            refused(format!("this version of the program cannot read its engine_parameters: {e}"))
         })?;
         let made = metadata.engine.clone().zip(settings);
         Ok((recipe, made.map(|(engine, settings)| WorldEngine { engine, settings })))

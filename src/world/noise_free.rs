@@ -148,7 +148,7 @@ fn beyond(recipe: &Recipe, reach: [[f64; 2]; 2], inside: [[f64; 2]; 2]) -> Error
         format!("x {x0:.2} to {x1:.2} nm, y {y0:.2} to {y1:.2} nm")
     };
     let expected = format!(
-        "the beam would leave the field, drift and margin included; what can be recorded is {}",
+        "the beam would leave the field, drift and margin included; the region that can be recorded is {}",
         text(inside)
     );
     Error::invalid(Setting::RecordedRegionNm, text(reach), expected)

@@ -172,7 +172,7 @@ fn is_damaged(key_path: &Path) -> bool {
 
 fn say_damaged(key_path: &Path, progress: &dyn Progress) {
     progress.warn(&format!(
-        "{}: is damaged; made again, and of the sub-tiles beside it those that are of this build are used",
+        "{}: is damaged; it is written again, and sub-tiles of this build beside it are used",
         key_path.display()
     ));
 }
@@ -183,8 +183,8 @@ fn arrays(folder: &Path) -> ArrayStore {
 
 fn kept(output: &Path, number: usize, difference: &str) -> Error {
     let expected = format!(
-        "{} keeps {number} sub-tiles of another build ({difference}); finish that one first, name another file, or \
-         allow overwriting, which removes them",
+        "{} keeps {number} sub-tiles of another build ({difference}); finish that build first, name another file, or allow overwriting, \
+         which removes them",
         work_folder(output).display()
     );
     Error::invalid(Setting::Output, output.display(), expected)

@@ -103,8 +103,9 @@ impl SampleOptions {
             let value = format!("{} pixels of {} nm", self.size_px, self.pixel_nm[1]);
             let [height, width] =
                 field.pixels(field.built_grid()).map(|n| n as f64 * field.pixel_nm());
-            let expected =
-                format!("does not fit, turned, into the field of {height:.2} x {width:.2} nm");
+            let expected = format!(
+                "does not fit into the field of {height:.2} x {width:.2} nm when it is rotated; use fewer or smaller pixels"
+            );
             return refuse(Setting::TilePixels, value, expected);
         }
         Ok(())

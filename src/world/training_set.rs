@@ -147,7 +147,7 @@ pub(crate) fn check_sizes(shape: [usize; 2], options: &TrainingOptions) -> Resul
     let refuse =
         |setting, value: String, expected: String| Err(Error::invalid(setting, value, expected));
     if !(8..=least).contains(&options.size_px) {
-        let expected = format!("tiles have from 8 pixels to those of the field, {least}");
+        let expected = format!("expected 8 to {least} pixels, the shorter side of the field");
         return refuse(crate::Setting::TilePixels, options.size_px.to_string(), expected);
     }
     if !(0.3..=50.0).contains(&options.sigma_px) {

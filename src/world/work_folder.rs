@@ -118,7 +118,7 @@ impl WorkFolder {
         if there.is_err() || (self.folder.is_dir() && !link) {
             return Ok(());
         }
-        let expected = "is where the unfinished file would go, and holds something else; move it, or name another file";
+        let expected = "the unfinished file needs this place, but it holds something else; move that, or name another file";
         Err(Error::invalid(crate::Setting::Output, partial.display(), expected))
     }
 

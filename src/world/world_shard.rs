@@ -59,7 +59,7 @@ impl WorldBuild {
     ) -> Result<ShardSummary> {
         let (started, work) = (Instant::now(), WorkFolder::of(output));
         if self.policy.check.limited() {
-            let expected = "parts need a way of making images that is known before: build without a largest error, with a window";
+            let expected = "shards need an engine that is fixed in advance: leave the largest error out, and give a window";
             return Err(Error::invalid(Setting::Shard, shard, expected));
         }
         self.check_output(output, false)?;

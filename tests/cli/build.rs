@@ -111,8 +111,8 @@ fn a_largest_error_is_kept() {
     let run = exact.arg("--json").output().unwrap();
     let told = stderr(&run);
     for part in [
-        "at most 0.001 % are asked for",
-        "the exact engine makes the whole field, which takes about",
+        "at most 0.001 % was asked for",
+        "the exact engine simulates the whole field, which needs about",
     ] {
         assert!(told.contains(part), "no `{part}` in\n{told}");
     }
@@ -218,7 +218,7 @@ fn the_plan_of_a_mosaic_tells_what_is_new_and_what_the_audit_takes() {
     };
     let plan = json(mosaic(&["--dry-run"]).arg("--quiet"));
     let why = plan["mosaic"]["new"][0]["why"].as_str().unwrap();
-    assert_eq!(why, "none is kept of this material");
+    assert_eq!(why, "no image of this material is kept");
     assert_eq!(plan["mosaic"]["new"][0]["images"], plan["mosaic"]["images"]);
     assert!(plan["audit_range_s"][1].as_f64().unwrap() > 0.0, "{plan}");
     assert!(mosaic(&["--no-png", "--audit", "0"]).status().unwrap().success());

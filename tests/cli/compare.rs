@@ -73,7 +73,7 @@ fn worlds_are_the_same_or_different() {
     assert!(of(&lines, "undecided").is_empty(), "{lines:?}");
     let (code, lines) = compare(f, "dose.h5");
     let different = of(&lines, "different");
-    assert!(code == 3 && different.contains(&"dose told by the noise"), "{lines:?}");
+    assert!(code == 3 && different.contains(&"dose estimated from the noise"), "{lines:?}");
     for same in [
         "vacancy_O per site",
         "nearest neighbours of columns",
@@ -85,7 +85,7 @@ fn worlds_are_the_same_or_different() {
     }
     let (code, lines) = compare(f, "rate.h5");
     assert!(code == 3 && of(&lines, "different").contains(&"vacancy_O per site"), "{lines:?}");
-    assert!(of(&lines, "same").contains(&"dose told by the noise"), "{lines:?}");
+    assert!(of(&lines, "same").contains(&"dose estimated from the noise"), "{lines:?}");
     let (code, lines) = compare(f, "material.h5");
     let different = of(&lines, "different");
     for property in

@@ -116,7 +116,7 @@ fn the_pixel_is_that_of_the_file_of_the_user_or_of_a_spacing() {
     let here = folder.path();
     npy(here, "a.npy", SHAPE);
     let told = fails(stemgen(here).args(["import", "a.npy", "-o", "w.h5"]));
-    assert!(told.contains("does not tell the size of a pixel"), "{told}");
+    assert!(told.contains("does not contain a usable pixel size"), "{told}");
     assert!(told.contains("--pixel-size") && told.contains("--calibrate"), "{told}");
     let given =
         json(stemgen(here).args(["import", "a.npy", "-o", "w.h5", "--pixel-size", "0.025"]));
@@ -168,7 +168,7 @@ fn what_cannot_be_imported_leaves_nothing() {
     let before = files(here);
     for (arguments, parts) in [
         (&["cut.dm4"][..], &["cut.dm4: is no readable DM4 file", "truncated"][..]),
-        (&["text.txt"], &["no recorded image that is known"]),
+        (&["text.txt"], &["no recorded image of a known format"]),
         (&["nothing.dm3"], &["nothing.dm3: cannot read"]),
         (&["small.npy", "--pixel-size", "0.02"], &["100 x 300 pixels", "128 x 128"]),
         (&["a.dm4", "--pixel-size", "-0.02"], &["--pixel-size", "above 0"]),

@@ -32,12 +32,15 @@ fn crops_narrower_than_the_probe_are_told() {
         warnings(here, &words)
     };
     let prism = run(&["--defocus", "300", "--engine", "prism", "--interpolation", "4"]);
-    assert!(prism[0].contains("9.8 A wide, and the probe 14.1 A"), "{prism:?}");
-    assert!(prism[0].contains("a crop of 20.4 A does"), "{prism:?}");
+    assert!(
+        prism[0].contains("9.8 A wide, but inside the specimen the probe is 14.1 A"),
+        "{prism:?}"
+    );
+    assert!(prism[0].contains("use a crop of 20.4 A"), "{prism:?}");
     assert!(run(&["--defocus", "300"]).is_empty());
     assert!(run(&["--engine", "prism", "--interpolation", "4"]).is_empty());
     let window = run(&["--aberration", "C30=1.2e7", "--engine", "window"]);
-    assert!(window[0].contains("take a cell of"), "{window:?}");
+    assert!(window[0].contains("use a cell of"), "{window:?}");
     let cell = run(&["--aberration", "C30=1.2e7"]);
     assert!(cell[0].contains("meets its own periodic images"), "{cell:?}");
     let window = run(&["--aberration", "C30=1e6", "--engine", "window"]);
@@ -57,7 +60,7 @@ fn a_cell_is_strained_within_the_limit_and_the_file_says_so() {
     assert!(refused.contains("allow more strain") && refused.contains("--max-strain"), "{refused}");
     let arguments = [&relaxed, "--max-strain", "0.1%"];
     let warning = told(here, &arguments, "the cell was strained by 0.0");
-    assert!(warning.contains("to make its angles right"), "{warning}");
+    assert!(warning.contains("to make its angles 90 degrees"), "{warning}");
     let mut command = stemgen(here);
     command.arg("simulate").args(arguments).args(["--scan-points", "2,2", "--quiet", "-o", "s.h5"]);
     assert!(command.output().unwrap().status.success());

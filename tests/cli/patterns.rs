@@ -157,14 +157,14 @@ fn rings_make_any_annulus() {
         let told = fails(stemgen(here).args(arguments));
         assert!(told.contains(words), "{arguments:?}: {told}");
     };
-    refused(&["integrate", "n.emd", "--annulus", "67-90"], "66-90 is made of whole ones");
+    refused(&["integrate", "n.emd", "--annulus", "67-90"], "66-90 mrad consists of whole rings");
     refused(&["integrate", "n.emd", "--annulus", "68-200"], "reach to 100.0 mrad");
     refused(&["integrate", "n.emd", "--com"], "without --radial");
-    refused(&["integrate", "n.emd", "--sectors", "0-20:4"], "sectors need pixels");
+    refused(&["integrate", "n.emd", "--sectors", "0-20:4"], "need patterns of pixels");
     let rings = |more: &[&str], words: &str| {
         refused(&[&["patterns", "si.cif", "-o", "x.emd"], scan, more].concat(), words);
     };
-    rings(&["--radial", "3"], "99 mrad is");
+    rings(&["--radial", "3"], "multiple is 99 mrad");
     rings(&["--radial", "1", "--pixels", "32"], "--pixels");
     rings(&["--radial", "1", "--mtf", "1"], "--mtf");
     rings(&["--radial", "1", "--png"], "have no picture");
@@ -216,7 +216,7 @@ fn other_files_hold_the_same_electrons() {
     };
     refused(&["-o", "b.toml"], "give a dose");
     refused(&["-o", "b.raw"], "128 x 128");
-    refused(&["-o", "b.hspy", "--radial", "1"], "rings are written as .emd");
+    refused(&["-o", "b.hspy", "--radial", "1"], "write rings as .emd");
     refused(&["-o", "b.zarr"], "did you mean b.emd?");
     refused(&["-o", "a.toml", "--dose", "10"], "--overwrite");
     std::fs::remove_file(here.join("a.raw")).unwrap();
@@ -297,7 +297,7 @@ fn mistakes_are_refused_with_the_remedy() {
     };
     patterns(&["-o", "x.h5"], "did you mean x.emd?");
     patterns(&["--detector", "HAADF=68-200"], "stemgen integrate");
-    patterns(&["--accuracy", "1"], "give the window of patterns by its width");
+    patterns(&["--accuracy", "1"], "give the width of the window of patterns");
     patterns(&["--engine", "prism"], "PRISM");
     patterns(&["--sampling", "0.4"], "--sampling");
     refused(&["patterns", "si.cif", "--pixels", "1"], "2 to 4096");

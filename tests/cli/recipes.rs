@@ -132,7 +132,9 @@ fn all_commands_tell_the_same_about_a_bad_recipe() {
             }
         }
     }
-    for (key, part) in [("seed", "missing field `seed`"), ("vacancies.rat", "no such key")] {
+    for (key, part) in
+        [("seed", "missing field `seed`"), ("vacancies.rat", "does not contain this key")]
+    {
         let mut command = stemgen(folder.path());
         let told = fails(command.args(["build"]).args(easy).args(["--unset", key]));
         assert!(told.contains(&format!("--unset {key}: ")) && told.contains(part), "{told}");

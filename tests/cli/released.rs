@@ -237,7 +237,7 @@ fn a_released_world_is_what_it_was() {
     exchange_tiles(&here.join("again/test.h5"), "tiles");
     let ended = with(&|text| text.replacen("numerics = ", "numerics = 9", 1));
     assert_eq!(ended.status.code(), Some(1));
-    assert!(stderr(&ended).contains("take the program that the manifest came with"));
+    assert!(stderr(&ended).contains("use the version of the program that the manifest belongs to"));
     // One that cannot be compared does not keep the others from it.
     std::fs::write(here.join("again/srtio3_easy.h5"), "no HDF5").unwrap();
     let ended = regenerate(here).args(["srtio3_easy", "test", "-o", "again"]).output().unwrap();

@@ -179,7 +179,7 @@ fn the_command_line_refuses_and_warns_as_the_library_does() {
     let warnings = plan["warnings"].as_array().unwrap();
     let narrow =
         warnings.iter().filter_map(|w| w.as_str()).find(|w| w.contains("is narrow")).unwrap();
-    assert!(narrow.contains("repeated 3,3,1 times") && narrow.contains("--repeat"), "{narrow}");
+    assert!(narrow.contains("repeat it 3,3,1 times") && narrow.contains("--repeat"), "{narrow}");
     assert!(simulate(&["-o", "x.tif"]).contains("did you mean x.h5?"));
     let told = simulate(&["--plane-wave", "--thicknesses", "2,4"]);
     assert!(told.contains("a plane wave is known at the exit surface only"), "{told}");

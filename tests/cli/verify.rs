@@ -177,7 +177,7 @@ fn lists_that_contradict_each_other_are_told() {
     let fault = told(&|f| changed(f, "defect_types", pristine(f), name));
     assert!(fault.contains("has type 0 and the defect type `vacancy_O`"), "{fault}");
     let fault = told(&|f| changed(f, "atomic_numbers", pristine(f), 74));
-    assert!(fault.starts_with("columns: column") && fault.contains("which its sites are not"));
+    assert!(fault.starts_with("columns: column") && fault.contains("its sites hold other atoms"));
     let fault = told(&|f| {
         let place = f.dataset("ground_truth/columns/position").unwrap();
         let x = place.read_raw::<f32>().unwrap()[4];

@@ -242,7 +242,10 @@ fn images_and_recordings_are_drawn_and_described() {
 
     for (arguments, fault) in [
         (&["view", "i.h5", "--detector", "HAADF", "-o", "f.png"][..], "there are ADF, BF"),
-        (&["view", "i.h5", "--index", "2", "-o", "f.png"], "has 2 images, from 0 to 1"),
+        (
+            &["view", "i.h5", "--index", "2", "-o", "f.png"],
+            "has 2 images; expected an index from 0 to 1",
+        ),
         (&["view", "i.h5", "--clean", "-o", "f.png"], "--clean"),
         (&["view", "r.h5", "--overlay", "defects", "-o", "f.png"], "is no world"),
         (&["view", "w.h5", "--index", "0", "-o", "f.png"], "a world is one image"),

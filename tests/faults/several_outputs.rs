@@ -105,7 +105,7 @@ fn a_kill_between_two_files_is_made_good_by_the_same_command() {
         assert!(told.contains("exists"), "{told}");
         assert!(std::fs::read(here.join(first)).unwrap() == before);
         let told = succeeds(&mut command(here, &pair));
-        assert!(told.contains("was ended between its files"), "{told}");
+        assert!(told.contains("ended before all its files were written"), "{told}");
         assert!(pair.files.iter().all(|name| is_whole(&here.join(name))), "{first}");
         assert!(names(here).iter().all(|name| !name.ends_with(".unfinished")), "{first}");
         // And now it is done.

@@ -348,7 +348,7 @@ fn a_world_takes_nothing_from_other_files() {
         let tile = f.new_dataset::<f32>().shape((TILE, TILE));
         tile.external("/etc/passwd", 0, 4 * TILE * TILE).create("tiles/0_0").unwrap();
     });
-    assert!(told.contains("/tiles/0_0 takes its values from another file"), "{told}");
+    assert!(told.contains("/tiles/0_0 refers to values in another file"), "{told}");
     let told = refused(|f| {
         f.unlink("tiles/0_0").unwrap();
         let tile = f.new_dataset::<f32>().shape((TILE, TILE));
@@ -358,7 +358,7 @@ fn a_world_takes_nothing_from_other_files() {
             .create("tiles/0_0")
             .unwrap();
     });
-    assert!(told.contains("/tiles/0_0 takes its values from another file"), "{told}");
+    assert!(told.contains("/tiles/0_0 refers to values in another file"), "{told}");
 }
 
 /// The error of a reference that `make` makes.

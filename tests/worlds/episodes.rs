@@ -462,5 +462,5 @@ fn bad_rules_and_actions_are_refused() {
     let made: Arc<dyn BenchmarkWorld> = Arc::new(source().world(2).unwrap());
     let task = task(TaskKind::Targeted);
     let mut stored = Episode::new(made, task, settings, (0, 0)).unwrap();
-    assert!(stored.act(ACQUIRE, &Silent).unwrap_err().to_string().contains("no tiles"));
+    assert!(stored.act(ACQUIRE, &Silent).unwrap_err().to_string().contains("no stored tiles"));
 }

@@ -188,7 +188,7 @@ fn wrong_defects_are_refused() {
     let message = refused(&|r| r.defects = vec![defect("S", None, 1.5)]);
     assert!(message.contains("defects.rate"), "{message}");
     let message = refused(&|r| r.defects = vec![defect("Mo", None, 0.1), defect("Mo", None, 0.2)]);
-    assert!(message.contains("kind of its own"), "{message}");
+    assert!(message.contains("a different kind of defect"), "{message}");
     let message = refused(&|r| r.boundaries.as_mut().unwrap().misorientation_deg = 25.0);
     assert!(message.contains("21.79") && message.contains("38.21"), "{message}");
     let mut strontium = Recipe::load("batio3", Difficulty::Easy).unwrap();

@@ -252,7 +252,7 @@ fn damaged_snapshots_are_refused() {
         let mut changed = value.clone();
         change(&mut changed);
         let found = told(changed.clone());
-        assert!(found.contains("not what its digest says"), "{found}");
+        assert!(found.contains("its digest does not match"), "{found}");
         // Snapshots of version 1 have none.
         changed["version"] = 1.into();
         changed["digest"] = "".into();

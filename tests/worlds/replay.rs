@@ -146,7 +146,10 @@ fn damaged_dm_files_are_refused() {
         for length in 0..whole.len() - 8 {
             let path = stored(folder.path(), "cut.dm3", &whole[..length]);
             let told = refused(&path, &ImageChoice::default());
-            assert!(told.contains("readable") || told.contains("is it whole"), "{length}: {told}");
+            assert!(
+                told.contains("readable") || told.contains("the file is complete"),
+                "{length}: {told}"
+            );
         }
         // Lengths of tags, of names and of arrays that ask for gigabytes.
         for at in 0..whole.len() - 8 {
@@ -316,7 +319,7 @@ fn what_cannot_be_a_world_is_refused() {
     let small = told(recorded(127, 400, "nm", ramp), &usual);
     assert!(small.contains("127 x 400 pixels") && small.contains("larger part"), "{small}");
     let unsaid = told(recorded(128, 128, "", ramp), &usual);
-    assert!(unsaid.contains("does not tell the size of a pixel"), "{unsaid}");
+    assert!(unsaid.contains("does not contain a usable pixel size"), "{unsaid}");
     for nm in [-0.02, 0.0, f64::NAN, 1e9] {
         let options = ReplayOptions { pixel_nm: Some(nm), ..usual.clone() };
         let told = told(recorded(128, 128, "nm", ramp), &options);

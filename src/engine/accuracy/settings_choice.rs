@@ -89,7 +89,7 @@ impl AccuracyFound {
             |t: &TriedWindow| format!("{:.1} A: {}", t.width_angstrom, percent(t.found_percent));
         if self.chosen_later {
             return format!(
-                "{} asked; the engine is chosen when this runs, on a sample of probes: what is told here is that of the exact engine, {against}",
+                "{} asked; the run chooses the engine on a sample of probes; this plan is for the exact engine, {against}",
                 percent(self.asked_percent)
             );
         }
@@ -106,7 +106,7 @@ impl AccuracyFound {
                 percent(self.asked_percent)
             ),
             (None, false) => format!(
-                "{} asked; the exact engine, {against}, since windows that save time are not so right here ({})",
+                "{} asked; the exact engine, {against}, since windows that save time have larger errors here ({})",
                 percent(self.asked_percent),
                 self.tried.iter().map(each).collect::<Vec<_>>().join(", ")
             ),

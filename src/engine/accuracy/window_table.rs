@@ -73,8 +73,7 @@ pub fn window_for(
     let Some(&(_, base)) = fits.filter(|_| accuracy_percent.is_finite()) else {
         let best = MEASURED[MEASURED.len() - 1].0;
         let expected = format!(
-            "windows were measured to be right to {best} % at best; use the engine multislice, or \
-             a window of a width of your own"
+            "the least error that was measured for windows is {best} %; use the engine multislice, or give the width of the window"
         );
         return Err(Error::invalid(crate::Setting::AccuracyPercent, accuracy_percent, expected));
     };

@@ -113,14 +113,15 @@ fn check(plan: &Plan, settings: &PatternSettings) -> Result<()> {
         pixels.check()?;
     }
     if matches!(plan.settings.algorithm, Algorithm::Prism { .. }) {
-        let expected = "patterns are made by multislice and windows; leave PRISM out";
+        let expected = "PRISM cannot simulate patterns; use multislice or windows";
         return Err(Error::invalid(Setting::Algorithm, "prism", expected));
     }
     let limit = plan.band_limit_mrad;
     let most = settings.detector.max_angle_mrad();
     if most > limit * (1.0 + 1e-9) {
-        let expected =
-            format!("at most {limit:.1} mrad, what the grid carries; a finer grid carries more");
+        let expected = format!(
+            "expected at most {limit:.1} mrad, the largest angle of the grid; a finer grid carries larger angles"
+        );
         return Err(Error::invalid(Setting::MaxAngleMrad, most, expected));
     }
     Ok(())

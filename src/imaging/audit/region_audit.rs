@@ -212,7 +212,8 @@ fn stride(options: &AuditOptions, pixel_angstrom: f64) -> usize {
 }
 
 /// Advice for an audit that needs too much memory.
-pub const AUDIT_REMEDY: &str = "most of it is the exact simulation that the audit compares with: fewer threads, smaller regions, or no audit, take less";
+pub const AUDIT_REMEDY: &str = "the exact simulation that the audit compares with needs most of the memory; use fewer threads, smaller \
+    regions, or no audit";
 
 /// The cost of the exact simulations of an audit.
 ///

@@ -72,16 +72,16 @@ impl ImageNote {
     pub fn difference(&self, kept: &[ImageNote]) -> String {
         let Some((_, nearest)) = kept.iter().map(|k| (self.likeness(k), k)).max_by_key(|n| n.0)
         else {
-            return "none is kept of this material".into();
+            return "no image of this material is kept".into();
         };
         let now = |what: &str, old: &dyn Display, new: &dyn Display| {
-            format!("{what} {new}; kept are some for {old}")
+            format!("{what} {new}; images are kept for {old}")
         };
         if self.numerics != nearest.numerics {
-            return "those kept are of another version of the program".into();
+            return "the kept images are of another version of the program".into();
         }
         if self.settings != nearest.settings {
-            return "those kept are for another microscope or other numerics".into();
+            return "the kept images are for another microscope or other numerics".into();
         }
         if self.sigma != nearest.sigma {
             return now("displacements (A)", &nearest.sigma, &self.sigma);
@@ -99,7 +99,7 @@ impl ImageNote {
             return now("neighbours with defects on about", &rates, &percent(&self.rate));
         }
         if self.sites != nearest.sites {
-            return "another crystal, thickness, strain or boundary than those kept".into();
+            return "another crystal, thickness, strain or boundary than the kept images".into();
         }
         "more contents or phonon configurations of a kind that is kept".into()
     }
@@ -157,12 +157,12 @@ mod tests {
     #[test]
     fn the_nearest_image_tells_what_is_new() {
         let new = note();
-        assert_eq!(new.difference(&[]), "none is kept of this material");
+        assert_eq!(new.difference(&[]), "no image of this material is kept");
         let old = ImageNote { numerics: 0, ..note() };
         assert!(new.difference(std::slice::from_ref(&old)).contains("another version"));
         let rate = |rate| ImageNote { rate, ..note() };
         let message = new.difference(&[old.clone(), rate(0.04), rate(0.08)]);
-        assert_eq!(message, "neighbours with defects on about 1.5 %; kept are some for 4 %, 8 %");
+        assert_eq!(message, "neighbours with defects on about 1.5 %; images are kept for 4 %, 8 %");
         let more = ImageNote { image: [3, 1], ..note() };
         assert!(new.difference(&[rate(0.04), more]).contains("more contents"));
         let thicker = ImageNote { sites: "c".into(), ..note() };

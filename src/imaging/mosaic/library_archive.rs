@@ -220,14 +220,14 @@ fn entries(bytes: &[u8]) -> std::result::Result<Vec<Entry<'_>>, String> {
     let body = bytes.len().checked_sub(DIGEST).filter(|body| *body >= MAGIC.len() + 8);
     let (body, digest) = bytes.split_at(body.ok_or("is cut off; copy it again")?);
     if Sha256::digest(body).as_slice() != digest {
-        return Err("is cut off or damaged: its checksum is another; copy it again".into());
+        return Err("is cut off or damaged: its checksum differs; copy it again".into());
     }
     let mut rest = Reader(&body[MAGIC.len()..]);
     let version = rest.number(4)?;
     if version != u64::from(NUMERICS_VERSION) {
         return Err(format!(
-            "holds simulations of version {version} of the numerics, and this program has {NUMERICS_VERSION}: it would not use them; export \
-             them with the same program"
+            "holds simulations of version {version} of the numerics, which this program (version {NUMERICS_VERSION}) cannot use; export \
+             the library with this version of the program"
         ));
     }
     let mut entries = Vec::new();
@@ -238,14 +238,14 @@ fn entries(bytes: &[u8]) -> std::result::Result<Vec<Entry<'_>>, String> {
         // Material and key become names of a folder and a file.
         if !is_name(material) || !is_key(key) || image_bytes > LARGEST_IMAGE {
             return Err(format!(
-                "holds an image with the name {material:?}/{key:?}, which none can have"
+                "holds an image with an invalid name or size ({material:?}/{key:?}); export it again"
             ));
         }
         entries.push(Entry { material, key, image_bytes, packed: rest.bytes(packed_bytes)? });
     }
     match rest.0.is_empty() {
         true => Ok(entries),
-        false => Err("holds more than it says".into()),
+        false => Err("holds bytes after its last image; export it again".into()),
     }
 }
 
@@ -264,7 +264,8 @@ struct Reader<'a>(&'a [u8]);
 impl<'a> Reader<'a> {
     fn bytes(&mut self, count: u64) -> std::result::Result<&'a [u8], String> {
         let count = usize::try_from(count).ok().filter(|n| *n <= self.0.len());
-        let (bytes, rest) = self.0.split_at(count.ok_or("says that it holds more than it does")?);
+        let (bytes, rest) =
+            self.0.split_at(count.ok_or("is shorter than its header states; export it again")?);
         self.0 = rest;
         Ok(bytes)
     }
@@ -295,7 +296,7 @@ fn unpacked(entry: &Entry) -> std::result::Result<Vec<u8>, String> {
     let read = ZlibDecoder::new(entry.packed).take(most).read_to_end(&mut ordered);
     read.map_err(|e| format!("does not unpack ({e})"))?;
     if ordered.len() as u64 != entry.image_bytes {
-        return Err("unpacks to another size than it says".into());
+        return Err("unpacks to another size than its header states".into());
     }
     let mut bytes = vec![0; ordered.len()];
     let places = (0..VALUE).flat_map(|k| (k..ordered.len()).step_by(VALUE));
@@ -406,10 +407,10 @@ mod tests {
             words(&bytes)
         };
         assert!(signed(&|b| b[8] += 1).contains("version"));
-        assert!(signed(&|b| b[12] += 1).contains("more than it does"));
-        assert!(signed(&|b| b[12] -= 1).contains("more than it says"));
-        assert!(signed(&|b| b[36] = b'/').contains("which none can have"));
-        assert!(signed(&|b| b[36] = b'.').contains("which none can have"));
+        assert!(signed(&|b| b[12] += 1).contains("shorter than its header"));
+        assert!(signed(&|b| b[12] -= 1).contains("bytes after its last image"));
+        assert!(signed(&|b| b[36] = b'/').contains("an invalid name"));
+        assert!(signed(&|b| b[36] = b'.').contains("an invalid name"));
         assert!(signed(&|b| b[20] += 1).contains("another size"));
         assert!(signed(&|b| b[37] ^= 1).contains("another image"));
         // The archive is whole, but its image is impossible.

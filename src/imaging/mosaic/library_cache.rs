@@ -228,7 +228,8 @@ impl Cache {
     /// [`Error::Io`]; [`Error::Invalid`] for a cache without a folder.
     pub fn add(&self, material: &str, key: &str, file: &[u8]) -> Result<bool> {
         let Some(store) = self.of(material) else {
-            let expected = "there is no folder for it: name one in the environment, STEMGEN_CACHE";
+            let expected =
+                "the cache has no folder; name one in the environment variable STEMGEN_CACHE";
             return Err(Error::invalid(crate::Setting::Library, "cache", expected));
         };
         store.add(key, file)

@@ -156,7 +156,7 @@ impl SuppliedLibrary {
             Ok(archive) => archive.file(material, key)?,
             Err(why) => {
                 if !opened.warned.swap(true, Ordering::Relaxed) {
-                    progress.warn(&format!("{why}; nothing of it is used"));
+                    progress.warn(&format!("{why}; the archive is not used"));
                 }
                 return None;
             }
@@ -175,7 +175,7 @@ impl SuppliedLibrary {
         if !self.folder.is_dir() && !TOLD.swap(true, Ordering::Relaxed) {
             let folder = self.folder.display();
             progress.warn(&format!(
-                "{folder}: no such folder; no library is used ({LIBRARY_VARIABLE} names it)"
+                "{folder}: the folder does not exist, so no library is used; the environment variable {LIBRARY_VARIABLE} names this folder"
             ));
         }
     }

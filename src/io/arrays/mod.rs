@@ -187,6 +187,10 @@ pub(super) fn choose<'a>(path: &Path, found: &'a [String], name: Option<&str>) -
 fn nameless(path: &Path, name: Option<&str>) -> Result<()> {
     match name {
         None => Ok(()),
-        Some(name) => Err(Error::parse(path, 0, format!("holds one array only, and no `{name}`"))),
+        Some(name) => Err(Error::parse(
+            path,
+            0,
+            format!("holds a single array, none called `{name}`; give no name"),
+        )),
     }
 }

@@ -98,7 +98,7 @@ impl NpyHeader {
         let mut start = [0; 8];
         from.read_exact(&mut start).map_err(|e| e.to_string())?;
         if &start[..6] != b"\x93NUMPY" {
-            return Err("it does not begin as one".into());
+            return Err("it does not begin with the mark of NumPy".into());
         }
         let mut size = [0; 4];
         let size_bytes = if start[6] == 1 { 2 } else { 4 };

@@ -270,7 +270,7 @@ fn small_file(path: &Path, most: usize) -> Result<Option<File>> {
         return Err(Error::parse(
             path,
             0,
-            "is no regular file; copy what it stands for to this place",
+            "is no regular file; copy the file itself to this place",
         ));
     }
     if about.len() > most as u64 {

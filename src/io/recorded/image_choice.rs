@@ -27,8 +27,6 @@ pub(super) fn frame_of(
         None if frames == 1 => Ok(0),
         None => choice(format!("`{name}` holds {frames} frames; choose one, from 0 to {last}")),
         Some(index) if index < frames => Ok(index),
-        Some(index) => {
-            choice(format!("`{name}` has no frame {index}; it has those from 0 to {last}"))
-        }
+        Some(index) => choice(format!("`{name}` has no frame {index}; its frames are 0 to {last}")),
     }
 }

@@ -131,7 +131,7 @@ impl ImageAxes {
     }
 }
 
-const UNSAID: &str = "it says nothing of its pixels";
+const UNSAID: &str = "it states no pixel size";
 
 /// First bytes of an HDF5 file.
 const HDF5_MARK: &[u8] = b"\x89HDF\r\n\x1a\n";

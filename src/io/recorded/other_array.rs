@@ -65,8 +65,8 @@ pub(super) fn read_plain(path: &Path, choice: &ImageChoice) -> Result<RecordedIm
         return Err(Error::parse(path, 0, message));
     }
     if !ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str())) {
-        let message = "is no recorded image that is known here: DM3, DM4, HDF5 (Velox EMD, HyperSpy, py4DSTEM and \
-                       others), TIFF, .npy, .npz or zarr; is it whole?";
+        let message = "is no recorded image of a known format: DM3, DM4, HDF5 (Velox EMD, HyperSpy, py4DSTEM and others), TIFF, .npy, .npz \
+            or zarr; check that the file is complete";
         return Err(Error::parse(path, 0, message));
     }
     let array = arrays::read(path, choice.dataset.as_deref())?;

@@ -96,7 +96,7 @@ pub fn composition_note(block: &DataBlock, read: &Formula) -> Option<String> {
         [HYDROGEN] => "hydrogen is not among the sites".to_owned(),
         _ if z.is_some() && wrong(fitted).is_empty() => {
             format!(
-                "the atoms are those of {fitted:.3} formula units; symmetry operations may be missing or too many"
+                "the atoms make up {fitted:.3} formula units; symmetry operations may be missing or too many"
             )
         }
         _ => format!("check {}", symbols(&differing)),

@@ -45,7 +45,7 @@ pub fn worlds_page(
         c.b.blocks,
     );
     body += &table(c);
-    body += "<h2>What the files say</h2>\n";
+    body += "<h2>Metadata of the files</h2>\n";
     body += &notes(&c.a, &c.b);
     body += "<h2>Images</h2>\n";
     body += &pictures(worlds)?;
@@ -70,7 +70,7 @@ pub fn sentence(c: &WorldComparison) -> String {
     text +=
         &format!(" ({} properties, a false alarm in {} of comparisons)", c.lines.len(), c.alpha);
     if !undecided.is_empty() {
-        text += &format!("; too little to tell: {}", undecided.join(", "));
+        text += &format!("; undecided for lack of data: {}", undecided.join(", "));
     }
     text + "."
 }

@@ -28,7 +28,7 @@ pub fn cases() -> Vec<Case> {
             "windows",
             "Windows that follow the probe",
             "HAADF of SrTiO3 [001], 23.4 A wide, 3.9 nm thick, one configuration of displaced atoms, 10 x 10 probes over a cell, in the \
-             windows chosen for an accuracy. The limit is what was asked for (rms, of the mean).",
+             windows chosen for an accuracy. The limit is the accuracy that was asked for (rms, of the mean).",
             false,
             8.0,
             1 + WINDOWS.len(),
@@ -37,8 +37,8 @@ pub fn cases() -> Vec<Case> {
         case(
             "prism",
             "PRISM: without interpolation multislice, with it nearly",
-            "HAADF of SrTiO3 [001], 1.2 nm thick, displaced atoms; 11.7 A wide for f = 1, else 23.4 A. An interpolated probe is periodic in extent / f; what its cropped \
-             tails cost is measured.",
+            "HAADF of SrTiO3 [001], 1.2 nm thick, displaced atoms; 11.7 A wide for f = 1, else 23.4 A. An interpolated probe is periodic \
+             in extent / f; the error from its cropped tails is measured.",
             false,
             8.0,
             6,
@@ -155,7 +155,10 @@ fn cores(runner: &CheckRunner) -> Result<Findings> {
     Ok(Findings {
         checks: vec![
             percent("cores in closed form: rms difference, of the mean", rms(&ours), 2e-3),
-            shown_percent("potentials on a grid 3 times finer: the same", rms(&coarse)),
+            shown_percent(
+                "potentials on a grid 3 times finer: rms difference, of the mean",
+                rms(&coarse),
+            ),
         ],
         figures: vec![pair("closed form (ours) and refined (reference)", ours, limit, &scan, 2e-3)],
     })

@@ -36,8 +36,8 @@ pub fn cases() -> Vec<Case> {
         case(
             "intensity",
             "No intensity is gained, and patterns sum to detectors",
-            "SrTiO3, 1.2 nm: all electrons below 200 mrad are at most the beam, and the pixels of the diffraction pattern sum to what \
-             the detector collects.",
+            "SrTiO3, 1.2 nm: all electrons below 200 mrad are at most the beam, and the pixels of the diffraction pattern sum to the \
+             intensity on the detector.",
             true,
             0.7,
             2,

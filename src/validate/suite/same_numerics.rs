@@ -99,16 +99,16 @@ pub fn cases() -> Vec<Case> {
     ]
 }
 
-const SRTIO3: &str = "12 x 12 probes over one unit cell, four detectors, 200 kV, 21 mrad. Both programs use a grid of 300 x 300 \
-    over 11.7 A, 52 slices with an atomic plane in the middle of each, and atoms on grid points, so that neither placement nor \
-    slicing can differ. First with potentials from structure factors with exact phases in both; then abTEM as shipped, whose \
-    potentials carry a correction for spreading atoms over pixels even where nothing was spread: with the same correction we \
-    agree, and what the correction itself does is shown as a number.";
+const SRTIO3: &str = "12 x 12 probes over one unit cell, four detectors, 200 kV, 21 mrad. Both programs use a grid of 300 x 300 over 11.7 \
+    A, 52 slices with an atomic plane in the middle of each, and atoms on grid points, so that neither placement nor slicing can differ. \
+    First with potentials from structure factors with exact phases in both; then abTEM as shipped, whose potentials carry a correction for \
+    spreading atoms over pixels even where nothing was spread: with the same correction we agree, and the effect of the correction itself is \
+    shown as a number.";
 const SI110: &str = "As SrTiO3, with a cell, a grid, a pixel and a raster that are not square, so that a transposition would show.";
 const DISPLACED: &str = "One configuration of thermally displaced atoms of SrTiO3, 3.9 nm, 10 x 8 probes, abTEM as shipped on grids of 288 \
-    and 576 points over 11.7 A: its spreading of atoms over four pixels, and the factor that does not undo it. On 288 points also \
-    with the atomic planes on the boundaries of slices, where displaced atoms fall into one slice or the next. How far these \
-    images are from the converged one is told by refined-image and slice-boundaries.";
+    and 576 points over 11.7 A: its spreading of atoms over four pixels, and the factor that does not undo it. On 288 points also with the \
+    atomic planes on the boundaries of slices, where displaced atoms fall into one slice or the next. The cases refined-image and \
+    slice-boundaries measure how far these images are from the converged one.";
 const PRISM: &str = "The same images by PRISM without interpolation, which should be multislice.";
 const PRISM_F2: &str = "A quarter of the Sr atoms is missing, since a perfect crystal cannot test the cropping of PRISM. Windows \
     of 11.7 A in a cell of 23.4 A, 3.9 nm thick; also the exact multislice of the same specimen.";

@@ -372,7 +372,7 @@ fn noise(a: &Measured, b: &Measured) -> Line {
     let known = enough && !t.is_nan();
     let freedom = a.spectrum.noise.len().min(b.spectrum.noise.len()).saturating_sub(1);
     Line {
-        what: "dose told by the noise".into(),
+        what: "dose estimated from the noise".into(),
         unit: "electrons per A2",
         a: Some(dose(of_a)),
         b: Some(dose(of_b)),
