@@ -20,6 +20,8 @@ pub enum Purpose {
     Occupancy = 4,
     /// Waves of phase boundaries and roughness of interfaces.
     Interface = 5,
+    /// Centres of clusters of vacancies.
+    Cluster = 6,
     /// Atoms of the random network of carbon.
     Carbon = 16,
     /// Places, sizes and orientations of nanoparticles.

@@ -28,6 +28,8 @@ pub const PHASE_BOUNDARIES: &str = "phase_boundaries";
 pub const PHASE_MAP: &str = "phase_map";
 /// Group of particles below the ground truth; only if there are particles.
 pub const PARTICLES: &str = "particles";
+/// Centres of clusters of vacancies below the ground truth; only if the recipe has clusters.
+pub const CLUSTER_POSITIONS: &str = "cluster_positions";
 /// Group of projected atomic columns below the ground truth.
 pub const COLUMNS: &str = "columns";
 /// Group below the ground truth with the unit cells that a recorded file lists; only if it lists some.

@@ -302,6 +302,19 @@ impl TruthWriter {
         write().at(&self.path)
     }
 
+    /// Writes the centres (x, y) of clusters of vacancies in nm, from the centre of pixel (0, 0), shape (clusters, 2).
+    ///
+    /// # Errors
+    /// [`crate::Error::Hdf5`].
+    pub fn clusters(&self, centres_nm: &[[f32; 2]]) -> Result<()> {
+        let write = || {
+            let list = position_list(&self.group, schema::CLUSTER_POSITIONS)?;
+            list.resize((centres_nm.len(), 2))?;
+            list.write(&rows(centres_nm)?)
+        };
+        write().at(&self.path)
+    }
+
     /// Writes all particles.
     ///
     /// # Errors

@@ -2,7 +2,9 @@
 
 use super::fault::{Checked, check_guest, fault, one_of, within};
 use super::resolved_recipe::Recipe;
-use super::tables::{MOST_POINT_DEFECTS, PointDefect, StructureKind, Substitutions, Vacancies};
+use super::tables::{
+    MOST_CLUSTERS, MOST_POINT_DEFECTS, PointDefect, StructureKind, Substitutions, Vacancies,
+};
 
 /// Checks the defects of a crystal of the elements `symbols`, and adds the elements of substitutions to `symbols`.
 pub fn check_defects(recipe: &Recipe, symbols: &mut Vec<String>) -> Checked {
@@ -16,12 +18,26 @@ pub fn check_defects(recipe: &Recipe, symbols: &mut Vec<String>) -> Checked {
             );
             return fault("vacancies.cluster_fraction", vacancies.cluster_fraction, expected);
         }
+        check_clusters(vacancies)?;
     }
     if let Some(substitutions) = &recipe.substitutions {
         check_substitutions(substitutions, symbols)?;
         symbols.push(substitutions.by.clone());
     }
     check_point_defects(&recipe.defects, symbols)
+}
+
+fn check_clusters(vacancies: &Vacancies) -> Checked {
+    let Vacancies { clusters, cluster_fraction, .. } = *vacancies;
+    if clusters > MOST_CLUSTERS {
+        let expected = format!("expected at most {MOST_CLUSTERS}");
+        return fault("vacancies.clusters", clusters, expected);
+    }
+    if clusters > 0 && cluster_fraction == 0.0 {
+        let expected = "expected 0, since vacancies.cluster_fraction = 0 gathers no vacancies in clusters; raise it, or leave clusters out";
+        return fault("vacancies.clusters", clusters, expected);
+    }
+    Ok(())
 }
 
 fn check_point_defects(defects: &[PointDefect], symbols: &mut Vec<String>) -> Checked {

@@ -176,6 +176,13 @@ pub struct Particles {
     pub contact_angstrom: f64,
 }
 
+/// Most clusters of vacancies.
+pub const MOST_CLUSTERS: usize = 1000;
+
+fn none(count: &usize) -> bool {
+    *count == 0
+}
+
 /// Vacancies of one element.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -184,10 +191,13 @@ pub struct Vacancies {
     pub element: String,
     /// Vacant fraction of all sites of the element.
     pub rate: f64,
-    /// Share of the vacancies gathered about the boundaries.
+    /// Share of the vacancies gathered about the boundaries, or in clusters.
     pub cluster_fraction: f64,
-    /// Standard deviation of the distance of gathered vacancies from the boundary in nm.
+    /// Standard deviation of the distance of gathered vacancies from the boundary, or from the centre of the cluster along each axis, in nm.
     pub cluster_sigma_nm: f64,
+    /// Number of clusters in the full field, at random places; with 0, vacancies gather about the boundaries.
+    #[serde(default, skip_serializing_if = "none")]
+    pub clusters: usize,
     /// Upper limit of the local vacancy probability.
     pub max_probability: f64,
     /// Distance by which cations beside a vacancy move away from it, in Angstrom.

@@ -14,6 +14,7 @@ use crate::recipe::region::Region;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::coherent::{Coherent, NM, Stretch};
 use crate::specimen::column_index::ColumnIndex;
+use crate::specimen::defects::clusters::Clusters;
 use crate::specimen::defects::rules::Defects;
 use crate::specimen::defects::vacancies::DistanceHistogram;
 use crate::specimen::sites::SpecimenSite;
@@ -46,6 +47,7 @@ pub struct Domains {
     shifts: Vec<[f64; 3]>,
     /// Mean displacement of the sites of each kind of column.
     column_shifts: Vec<[f64; 2]>,
+    clusters: Clusters,
     defects: Defects,
     /// The contents of units; with `None` each site is drawn separately.
     contents: Option<UnitOccupation>,
@@ -81,6 +83,7 @@ impl Domains {
             lattice: Coherent::new(crystal, &recipe.field, order),
             shifts,
             column_shifts,
+            clusters: Clusters::draw(recipe),
             defects: Defects::default(),
             contents: None,
             facts: SpecimenFacts::default(),
@@ -94,7 +97,7 @@ impl Domains {
             };
             let add =
                 |counts: &mut DistanceHistogram, index: ColumnIndex, ideal: [f64; 2], row: &Row| {
-                    counts.add(lattice.stretch.distance(ideal, row), holding(index.kind));
+                    counts.add(specimen.distance(ideal, row), holding(index.kind));
                 };
             let kinds = |kind: usize| holding(kind) > 0;
             // Near the edges of the field displacements decide whether a column lies in it.
@@ -110,9 +113,16 @@ impl Domains {
         specimen.facts = SpecimenFacts {
             thickness_nm: specimen.lattice.thickness_nm(),
             phases: domains.phases.to_vec(),
+            clusters_nm: specimen.clusters.centres_nm().to_vec(),
             ..SpecimenFacts::default()
         };
         Ok(specimen)
+    }
+
+    /// Returns the distance of a point of a row from the nearest place about which vacancies gather, in nm.
+    fn distance(&self, position: [f64; 2], row: &Row) -> f64 {
+        let boundary = || self.lattice.stretch.distance(position, row);
+        self.clusters.distance_nm(position).unwrap_or_else(boundary)
     }
 
     /// Calls `f(column, position, (position before displacement, order parameter there), row)`.
@@ -143,7 +153,6 @@ impl Domains {
     fn tag(&self, kind: usize, first: ColumnIndex, rows: &mut KnownRows) -> Option<UnitTag> {
         let contents = self.contents.as_ref()?;
         let members = &contents.units.kinds[kind];
-        let stretch = &self.lattice.stretch;
         let place = |column: ColumnIndex| {
             let at = self.lattice.reference(column);
             self.place(column, at, rows.at(at[1])).0
@@ -151,7 +160,7 @@ impl Domains {
         let centre = self.lattice.centre(members, first, place);
         let element = contents.process.map_or(0, |p| p.element);
         let row = rows.at(centre[1]);
-        let rate = self.defects.at(stretch.distance(centre, row)).rate(element);
+        let rate = self.defects.at(self.distance(centre, row)).rate(element);
         let entry = contents.draw(kind, first, rate)?;
         let structure = (order(row, centre[0]) * ORDER_STEPS).round() as usize;
         Some(UnitTag::unrotated((first, 0), centre, structure, entry))
@@ -168,8 +177,7 @@ impl Domains {
                 tags.get((first, member), || self.tag(kind, first, &mut rows))
             });
             // The rules are not needed where the units decide the contents.
-            let defects =
-                LazyCell::new(|| self.defects.at(self.lattice.stretch.distance([x, y], row)));
+            let defects = LazyCell::new(|| self.defects.at(self.distance([x, y], row)));
             let contents = self.contents.as_ref().zip(tag);
             let chains = &self.lattice.crystal.columns[index.kind].chains;
             let cells = 0..if with_sites { self.lattice.cells_along_beam } else { 0 };

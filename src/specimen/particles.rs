@@ -264,6 +264,7 @@ fn facts(particles: &[PlacedParticle], face: f64, thickness: f64) -> SpecimenFac
     let sites = particles.iter().map(|p| p.atoms.len() as u64);
     let particles = outlines.iter().map(|p| p.centre_nm).zip(sites).collect();
     SpecimenFacts {
+        clusters_nm: Vec::new(),
         thickness_nm: (face + thickness + VACUUM) * NM,
         phases: Vec::new(),
         film: Some(ThinFilm {

@@ -134,6 +134,8 @@ pub struct SpecimenFacts {
     pub thickness_nm: f64,
     /// Names of the phases; empty when there is only one. Their indices are the codes of the phase map.
     pub phases: Vec<String>,
+    /// Centres (x, y) of clusters of vacancies in nm.
+    pub clusters_nm: Vec<[f64; 2]>,
     /// The film behind everything else, if the specimen has one.
     pub film: Option<ThinFilm>,
     /// Projections of all particles along the beam; the depth of particles is not computed for them.

@@ -82,6 +82,10 @@ impl<'a> Drawing<'a> {
             let centre = [x - corner[0], y - corner[1]];
             self.scene.circle(centre, 0.5 * particle.diameter_nm, palette::LINE);
         }
+        for [x, y] in &self.specimen.facts().clusters_nm {
+            let radius = self.recipe.vacancies.as_ref().map_or(0.0, |v| v.cluster_sigma_nm);
+            self.scene.circle([x - corner[0], y - corner[1]], radius, palette::LINE);
+        }
         self.scene.render()
     }
 
@@ -120,6 +124,12 @@ impl<'a> Drawing<'a> {
         }
         if !self.specimen.boundaries().is_empty() {
             scene.legend(Swatch::Line(palette::LINE), "boundary");
+        }
+        match self.specimen.facts().clusters_nm.len() {
+            0 => {}
+            n => {
+                scene.legend(Swatch::Ring(palette::LINE), format!("{n} clusters in the full field"))
+            }
         }
         match outlines_in(self.specimen, &self.built).len() {
             0 => {}

@@ -3,6 +3,7 @@
 mod build;
 #[path = "../common/cases.rs"]
 mod cases;
+mod clusters;
 #[path = "../common/mod.rs"]
 mod common;
 mod contributing;

@@ -44,6 +44,7 @@ fn vacancies_and_relaxation_work_in_every_kind_of_specimen() {
             rate: 0.05,
             cluster_fraction: 0.0,
             cluster_sigma_nm: 5.0,
+            clusters: 0,
             max_probability: 0.25,
             relaxation_angstrom: 0.0,
         });

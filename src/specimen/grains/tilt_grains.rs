@@ -11,6 +11,7 @@ use crate::recipe::tables::Boundaries;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::coherent::NM;
 use crate::specimen::column_index::ColumnIndex;
+use crate::specimen::defects::clusters::Clusters;
 use crate::specimen::defects::rules::Defects;
 use crate::specimen::grains::boundary;
 use crate::specimen::grains::boundary::{ColumnOutcome, MinDistances, ON_PLANE};
@@ -44,6 +45,7 @@ pub struct Grains {
     extent: Region,
     field: Region,
     kind: BoundaryKind,
+    clusters: Clusters,
     defects: Defects,
     /// The contents of units for each kind of defect; if empty, each site is drawn separately.
     contents: Vec<UnitOccupation>,
@@ -101,6 +103,7 @@ impl Grains {
             extent: field.grown(BEYOND_FIELD_NM),
             field,
             kind: BoundaryKind::Grain { misorientation_deg: 0.0, sigma: None },
+            clusters: Clusters::draw(recipe),
             defects: Defects::default(),
             contents: Vec::new(),
             motifs: Vec::new(),
@@ -109,11 +112,12 @@ impl Grains {
         };
         specimen.facts.thickness_nm =
             specimen.cells_along_beam as f64 * specimen.crystal.cell[2] * NM;
+        specimen.facts.clusters_nm = specimen.clusters.centres_nm().to_vec();
         specimen.lay_out(recipe.boundaries.as_ref(), &shortest)?;
         specimen.defects = Defects::fit(recipe, |element, histogram| {
             specimen.for_each_column(&specimen.field, |column| {
                 let chains = specimen.chains(&column).filter(|(_, c)| c.number == element).count();
-                histogram.add(specimen.distance_nm(column.position[0]), chains as u64);
+                histogram.add(specimen.distance_nm(column.position), chains as u64);
             });
         })?;
         specimen.contents = UnitOccupation::each(recipe, &specimen.crystal)?;
@@ -172,9 +176,11 @@ impl Grains {
         Ok(())
     }
 
-    /// Returns the distance from the nearest boundary in nm; `x` in Angstrom.
-    fn distance_nm(&self, x: f64) -> f64 {
-        self.planes.iter().map(|p| (x - p).abs() * NM).fold(f64::INFINITY, f64::min)
+    /// Returns the distance of a position (x, y) in Angstrom from the nearest place about which vacancies gather, in nm.
+    fn distance_nm(&self, position: [f64; 2]) -> f64 {
+        let across = |plane: &f64| (position[0] - plane).abs() * NM;
+        let boundary = || self.planes.iter().map(across).fold(f64::INFINITY, f64::min);
+        self.clusters.distance_nm(position.map(|v| v * NM)).unwrap_or_else(boundary)
     }
 
     fn chains(&self, column: &Present) -> impl Iterator<Item = (usize, &Chain)> + use<'_> {
@@ -248,8 +254,8 @@ impl Grains {
             let at = |k: usize| (first.cell[k] + m.cell[k]) as f64 + xy[k];
             grain.position(self.crystal.cell, at(0), at(1))
         }));
-        let rate_at = |x: f64| {
-            let local = || self.defects.at(self.distance_nm(x));
+        let rate_at = |position: [f64; 2]| {
+            let local = || self.defects.at(self.distance_nm(position));
             contents.process.map_or(0.0, |kind| local().rate_of(kind))
         };
         let nearest = self.nearest_plane(centre[0]);
@@ -262,7 +268,7 @@ impl Grains {
             let seen =
                 [repeat.flip[0] * (x - self.planes[plane]), repeat.flip[1] * (y - repeat.origin)];
             let slot = motif.slot(seen, self.chains(column).map(|(n, _)| n))?;
-            let (rate, around) = (rate_at(x), rate_at(self.planes[plane]));
+            let (rate, around) = (rate_at([x, y]), rate_at([self.planes[plane], y]));
             let entry = motif.draw(slot, column.index.id(), rate, around)?;
             return Some(UnitTag {
                 id: column.index.id(),
@@ -277,7 +283,7 @@ impl Grains {
                 frame: [[repeat.flip[0], 0.0], [0.0, repeat.flip[1]]],
             });
         }
-        let entry = contents.draw(kind, first, rate_at(centre[0]))?;
+        let entry = contents.draw(kind, first, rate_at(centre))?;
         let ([c, s], x) = (grain.rotation, if grain.mirrored { -1.0 } else { 1.0 });
         Some(UnitTag {
             id: first.id(),
@@ -446,7 +452,7 @@ impl Grains {
         self.for_each_column(region, |column| {
             let [x, y] = column.position.map(|v| v * NM);
             let held = self.held(&column);
-            let defects = self.defects.at(self.distance_nm(column.position[0]));
+            let defects = self.defects.at(self.distance_nm(column.position));
             let cells = 0..if with_sites { self.cells_along_beam } else { 0 };
             let sites = cells.flat_map(|cell| {
                 self.chains(&column).enumerate().map(move |(there, (n, c))| (cell, there, n, c))
