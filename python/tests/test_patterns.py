@@ -155,6 +155,26 @@ def test_mistakes_are_refused(cube: sw.DataCube, tmp_path: Path) -> None:
         sw.DataCube.open(tmp_path / "no.emd")
 
 
+def test_a_page_shows_arrays_and_files_alike(cube: sw.DataCube, tmp_path: Path) -> None:
+    written = sw.simulate_patterns(ATOMS, pixels=32, max_angle_mrad=50, out=tmp_path / "w.emd", **SMALL)
+    pages = []
+    for folder, shown in (("a", cube), ("b", written)):
+        (tmp_path / folder).mkdir()
+        path = tmp_path / folder / "w.html"
+        assert shown.page(path) == str(path)
+        pages.append(path.read_text(encoding="utf-8"))
+        with pytest.raises(sw.StemworldsError, match="exists"):
+            shown.page(path)
+        shown.page(path, overwrite=True)
+    # Codes of all intensities, by rows of the scan, are the blobs of the page.
+    assert pages[0] == pages[1] and pages[0].count('<script type="text/plain" id="b') == 5
+    with pytest.raises(sw.InvalidValue, match=r"\.html"):
+        cube.page(tmp_path / "w.png")
+    rings = sw.simulate_patterns(ATOMS, radial_mrad=5, max_angle_mrad=100, **SMALL)
+    with pytest.raises(sw.InvalidValue, match="page"):
+        rings.page(tmp_path / "r.html")
+
+
 def test_hyperspy_gets_calibrated_patterns(cube: sw.DataCube) -> None:
     pytest.importorskip("hyperspy")
     signal = cube.to_hyperspy()
