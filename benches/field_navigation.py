@@ -1,6 +1,6 @@
 """Does it matter where an agent looks? Share of all defects of a field that lie in the 50 tiles it looks at, and what its map is worth.
 
-    python benches/field_navigation.py sige gan batio3 wandering --seeds 10
+    python benches/field_navigation.py sige gan batio3 wandering clusters --seeds 10
 
 The analyst is simulated: the true number of defects of a tile, with the error of an observer whose columns have a detectability d' for one defect each,
 sqrt(columns of a tile) / d'. No image is made, so a specimen takes seconds. Navigators are those of the package. Means and 95 % intervals (bootstrap) over
@@ -34,6 +34,19 @@ WORLDS = {
                 "vacancies.rate": 0.004,
                 "vacancies.cluster_fraction": 1.0,
                 "vacancies.cluster_sigma_nm": 1.0,
+            },
+        ),
+        (0.08, 0.16, 0.5),
+    ),
+    "clusters": (
+        (
+            "batio3",
+            {
+                "domains.boundaries": 0,
+                "vacancies.clusters": 20,
+                "vacancies.rate": 0.01,
+                "vacancies.cluster_fraction": 0.9,
+                "vacancies.cluster_sigma_nm": 2.5,
             },
         ),
         (0.08, 0.16, 0.5),
