@@ -132,7 +132,7 @@ impl Slurm {
         let audited = ["--accuracy", "--max-error"];
         if let Some(name) = audited.iter().find(|name| words.iter().any(|w| is(w, name))) {
             anyhow::bail!(
-                "{name}: an audit chooses the engine, which does not work in parts; name the engine instead: --engine window --window 7.8"
+                "{name} lets an audit choose the engine, which does not work in parts; name the engine instead: --engine window --window 7.8"
             );
         }
         if words.iter().any(|w| is(w, "--all")) {

@@ -33,15 +33,15 @@ Examples:
     train[\"columns\"][\"x_px\"]                                     # of all columns of all tiles
 
 Arrays of the file, [tile, row, column] unless noted:
-  images        with noise, in fractions of the beam
-  clean         without noise
-  heat_maps     Gaussians of height 1 at columns
-  class_masks   0 background, 1 pristine column, 2 vacancies, 3 substitutions, 4 both
-  phase_masks   number of the phase
-  dose, pixel_nm, angle_deg, centre_nm (x, y in the full field), index, source   [tile]
-  recipes       TOML, by source
-  columns       one record for each column: sample, x_px, y_px, class, number (of the heaviest
-                atom), occupancy, sites, vacancies, substitutions
+  images: with noise, in fractions of the beam
+  clean: without noise
+  heat_maps: Gaussians of height 1 at columns
+  class_masks: 0 background, 1 pristine column, 2 vacancies, 3 substitutions, 4 both
+  phase_masks: number of the phase
+  dose, pixel_nm, angle_deg, centre_nm (x, y in the full field), index, source: [tile]
+  recipes: TOML, by source
+  columns: one record for each column: sample, x_px, y_px, class, number (of the heaviest
+    atom), occupancy, sites, vacancies, substitutions
 stemworlds.export writes files of this layout.
 
 The noise-free image is simulated from the recipe. Parts of it that the cache holds are reused.

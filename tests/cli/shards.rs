@@ -184,8 +184,8 @@ fn bad_shards_are_explained() {
         assert!(told.contains("cannot be used with"), "{told}");
     }
     for (other, said) in [
-        (&["test", "--accuracy", "1%"][..], "--accuracy: an audit chooses the engine"),
-        (&["test", "--max-error=1"], "--max-error: an audit chooses the engine"),
+        (&["test", "--accuracy", "1%"][..], "--accuracy lets an audit choose the engine"),
+        (&["test", "--max-error=1"], "--max-error lets an audit choose the engine"),
         (&["--all"], "a script builds one world"),
         (&["test", "--shard", "0/2"], "--shard has no place"),
     ] {

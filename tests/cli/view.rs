@@ -241,7 +241,7 @@ fn images_and_recordings_are_drawn_and_described() {
     assert_eq!(told["images"][0]["kind"], "recording");
 
     for (arguments, fault) in [
-        (&["view", "i.h5", "--detector", "HAADF", "-o", "f.png"][..], "there are ADF, BF"),
+        (&["view", "i.h5", "--detector", "HAADF", "-o", "f.png"][..], "contains ADF, BF"),
         (
             &["view", "i.h5", "--index", "2", "-o", "f.png"],
             "has 2 images; expected an index from 0 to 1",
