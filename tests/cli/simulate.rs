@@ -381,7 +381,10 @@ fn electrons_beyond_counting_and_names_used_twice_are_refused() {
         assert!(told.contains("more than can be counted; expected at most"), "{told}");
     }
     let told = run(&["--dose", "100", "--detector", "A=68-200", "--detector", "A_noisy=90-200"]);
-    assert!(told.contains("A_noisy: is also the name of the noisy image of another detector"), "{told}");
+    assert!(
+        told.contains("A_noisy: is also the name of the noisy image of another detector"),
+        "{told}"
+    );
     let told = run(&["--focal-spread", "1e308"]);
     assert!(told.contains("1e308: must be from 0 to") && told.len() < 400, "{told}");
     assert!(!folder.path().join("x.h5").exists());
