@@ -503,7 +503,10 @@ fn particles_that_cannot_be_made_or_placed_are_named() {
     recipe.field.grid = [1, 40];
     recipe.field.fov_nm = [60.0 * 128.0 / 4964.0, 60.0];
     let message = error(&recipe);
-    assert!(message.contains("particles.count = 2: after 0 no place was found"), "{message}");
+    assert!(
+        message.contains("particles.count = 2: after 0 particles no place was found"),
+        "{message}"
+    );
 }
 
 proptest! {

@@ -291,7 +291,7 @@ fn other_hdf5_files_are_read_by_the_paths_of_their_images() {
     let found = read(&path, &named("root/annular/data")).unwrap();
     assert_eq!(found.pixels, data);
     assert!((found.pixel_nm.unwrap() - 0.05).abs() < 1e-12);
-    assert!(read(&path, &named("/plain")).unwrap().pixel_nm.unwrap_err().contains("nothing"));
+    assert!(read(&path, &named("/plain")).unwrap().pixel_nm.unwrap_err().contains("no pixel size"));
     let told = refused(&path, &ImageChoice::default());
     assert!(told.contains("several") && told.contains("/root/annular/data"), "{told}");
     assert!(refused(&path, &named("/nothing")).contains("no image `/nothing`"));
