@@ -127,8 +127,10 @@ class Microscope:
         return self._stage_m.astype(np.float32)
 
     def set_stage(self, arguments: Arguments) -> Answer:
-        """Moves the stage to ``x`` and ``y`` in m, or by these distances with ``relative=True``. The field of view has to stay on the
-        specimen."""
+        """Moves the stage to ``x`` and ``y`` in m, or by these distances with ``relative=True``.
+
+        The field of view has to stay on the specimen.
+        """
         x, y = (_number(arguments, key, default=math.nan) for key in ("x", "y"))
         relative = _flag(arguments, "relative")
         moved = self._stage_m.copy()
