@@ -4,7 +4,7 @@
 #     sh docs/build.sh [--changed] [WHEEL]
 #
 # Runs the Python of all pages with the package stemworlds, built from this clone or taken from WHEEL. A page with an example that fails
-# fails the build. With --changed, only pages run whose Python changed since all were run last (docs/site/ran.json, which
+# fails the build. With --changed, only pages run whose Python changed since they ran last (docs/site/ran.json, which
 # STEMGEN_UPDATE=1 renews); the site then lacks what the others show. PYTHON names the interpreter.
 set -eu
 cd "$(dirname "$0")/.."

@@ -3,8 +3,8 @@
     python docs/site/pages.py OUT [PAGE ...]          # runs some pages only: docs/tour.md
     python docs/site/pages.py OUT --changed           # runs those only whose Python is not listed in ran.json
 
-ran.json lists the Python of each page, as a digest, as it was when all pages were run last. `STEMGEN_UPDATE=1` renews the list once all
-pages have run.
+ran.json lists the Python of each page, as a digest, as it was when the page ran last. `STEMGEN_UPDATE=1` renews the list once all pages, or
+all changed pages, have run.
 
 Each page is a notebook of its own: its blocks of Python run one after the other in a new kernel and an empty folder. A block that fails
 ends the build, with page and line. Comments above a block say more about it:
@@ -361,7 +361,7 @@ def make(out: Path, only: list[str]) -> None:
         with ThreadPoolExecutor(AT_ONCE) as pool:
             for line in filter(None, pool.map(lambda page: run(page, out), some)):
                 print(line, flush=True)
-    if not only and os.environ.get("STEMGEN_UPDATE"):
+    if only in ([], ["--changed"]) and os.environ.get("STEMGEN_UPDATE"):
         record(pages)
     targets = {page.path: page.target for page in pages}
     for page in pages:
