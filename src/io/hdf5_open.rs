@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use hdf5::File;
 
 use super::hdf5_guard::first_line;
+use crate::error::{Error, Result};
 
 /// Longest wait for a lock. HDF5 locks the files that it writes, and a process that another thread starts at that moment inherits the lock.
 const LOCK_PATIENCE: Duration = Duration::from_secs(5);
@@ -23,8 +24,20 @@ pub(super) fn open(path: &Path) -> hdf5::Result<File> {
     }
 }
 
+/// Opens a file that may be no HDF5; `None` if it is none. The reader of another kind of file reports what is wrong with it.
+///
+/// # Errors
+/// [`Error::Parse`] for a file that another program writes.
+pub(super) fn open_if_hdf5(path: &Path) -> Result<Option<File>> {
+    match open(path) {
+        Ok(file) => Ok(Some(file)),
+        Err(e) if is_locked(&e) => Err(Error::parse(path, 0, reason(&e, ""))),
+        Err(_) => Ok(None),
+    }
+}
+
 /// Whether a file did not open because another program writes it.
-pub(super) fn is_locked(error: &hdf5::Error) -> bool {
+fn is_locked(error: &hdf5::Error) -> bool {
     error.to_string().contains("unable to lock file")
 }
 

@@ -453,13 +453,7 @@ impl PatternFile {
     /// [`Error::Io`]; [`Error::Parse`] for a file that is damaged.
     pub fn open(path: &Path) -> Result<Option<Self>> {
         let bytes = regular_file(path)?;
-        let file = match hdf5_open::open(path) {
-            Ok(file) => file,
-            Err(e) if hdf5_open::is_locked(&e) => {
-                return Err(Error::parse(path, 0, hdf5_open::reason(&e, "")));
-            }
-            Err(_) => return Ok(None),
-        };
+        let Some(file) = hdf5_open::open_if_hdf5(path)? else { return Ok(None) };
         if text_of(&file, "format").as_deref() != Some(FORMAT) {
             return Ok(None);
         }

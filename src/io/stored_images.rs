@@ -62,13 +62,7 @@ impl StoredImages {
         let bytes = regular_file(path)?;
         let refused = |fault: String| Error::parse(path, 0, fault);
         // Other faults are reported when the file is opened as a world.
-        let file = match hdf5_open::open(path) {
-            Ok(file) => file,
-            Err(e) if hdf5_open::is_locked(&e) => {
-                return Err(Error::parse(path, 0, hdf5_open::reason(&e, "")));
-            }
-            Err(_) => return Ok(None),
-        };
+        let Some(file) = hdf5_open::open_if_hdf5(path)? else { return Ok(None) };
         let kind = match text(&file, "format").as_deref() {
             Some("stemgen images") => ImageKind::Simulated,
             Some("stemgen recording") => ImageKind::Recording,

@@ -211,15 +211,16 @@ fn biases(worlds: &[CardWorld], share: DefectShare) -> Vec<String> {
         text.push(format!("Every world has the same probe: {}.", probes[0]));
     }
     let gathered = worlds.iter().filter_map(|w| w.recipe.as_ref()?.vacancies.as_ref());
+    let percent = |share: f64| format!("{:.0} %", 100.0 * share);
     let (clustered, gathered): (Vec<_>, Vec<_>) =
         gathered.filter(|v| v.cluster_fraction > 0.0).partition(|v| v.clusters > 0);
     if let Some(count) = range(clustered.iter().map(|v| v.clusters as f64), |n| n.to_string()) {
-        let share = |share: f64| format!("{:.0} %", 100.0 * share);
-        let share = range(clustered.iter().map(|v| v.cluster_fraction), share).unwrap_or_default();
+        let share =
+            range(clustered.iter().map(|v| v.cluster_fraction), percent).unwrap_or_default();
         text.push(format!("Vacancies gather in clusters by construction: {share} of them, in {count} clusters a field."));
     }
     let gathered = gathered.into_iter().map(|v| v.cluster_fraction);
-    if let Some(gathered) = range(gathered, |share| format!("{:.0} %", 100.0 * share)) {
+    if let Some(gathered) = range(gathered, percent) {
         text.push(format!(
             "Vacancies gather about boundaries by construction: {gathered} of them, where a recipe has boundaries."
         ));

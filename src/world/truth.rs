@@ -126,15 +126,11 @@ fn write_lines_and_particles(
     for boundary in specimen.boundaries() {
         write_boundary(&boundary, phases, region, origin, writer)?;
     }
-    let clusters: Vec<[f32; 2]> = specimen
-        .facts()
-        .clusters_nm
-        .iter()
-        .filter(|centre| region.contains(**centre))
-        .map(|centre| [0, 1].map(|k| (centre[k] - origin[k]) as f32))
-        .collect();
-    if !specimen.facts().clusters_nm.is_empty() {
-        writer.clusters(&clusters)?;
+    let clusters = &specimen.facts().clusters_nm;
+    if !clusters.is_empty() {
+        let inside = clusters.iter().filter(|centre| region.contains(**centre));
+        let place = |centre: &[f64; 2]| [0, 1].map(|k| (centre[k] - origin[k]) as f32);
+        writer.clusters(&inside.map(place).collect::<Vec<_>>())?;
     }
     write_particles(specimen, region, origin, writer)
 }

@@ -1,8 +1,5 @@
 // Patterns of a scan: the image of a detector on the left, a diffraction pattern with the detector on the right.
 
-const $ = (id) => document.getElementById(id);
-const root = document.documentElement;
-
 const [COLUMNS, ROWS] = HEADER.scan;
 const PIXELS = HEADER.pixels;
 const SIZE = PIXELS * PIXELS;
@@ -123,14 +120,6 @@ function currentPattern() {
 }
 
 // ---- Drawing -----------------------------------------------------------------------------------
-
-const MAPS = Object.fromEntries(HEADER.colormaps.map(([name, text]) => [
-  name,
-  Uint32Array.from({ length: 256 }, (_, i) => {
-    const hex = parseInt(text.slice(6 * i, 6 * i + 6), 16);
-    return ((255 << 24) | ((hex & 255) << 16) | (hex & 0xff00) | (hex >> 16)) >>> 0;
-  }),
-]));
 
 /** A canvas that shows cells of one size, as large as they fit. */
 class Panel {
@@ -416,11 +405,7 @@ function connect() {
       if (Number.isFinite(mrad)) setDetector({ [id]: mrad });
     });
   }
-  $("theme").addEventListener("click", () => {
-    const dark = matchMedia("(prefers-color-scheme: dark)").matches;
-    const now = root.dataset.theme ?? (dark ? "dark" : "light");
-    root.dataset.theme = now === "dark" ? "light" : "dark";
-  });
+  $("theme").addEventListener("click", switchTheme);
   $("help-button").addEventListener("click", KEYS["?"]);
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input, select")) return;
@@ -436,11 +421,10 @@ function connect() {
   [scan, pattern].forEach((panel) => sizes.observe(panel.canvas));
 }
 
-if (typeof DecompressionStream === "undefined") {
-  complain("This browser is too old to unpack the page: Chrome or Edge 103, Firefox 113, Safari 16.4 or newer can.");
-} else {
+async function open() {
   connect();
   redraw();
-  load().catch((error) => complain(error.message));
-  checkEnd();
+  await load();
 }
+
+start(open);

@@ -21,7 +21,8 @@ const FEWEST_PIXELS: usize = 16;
 /// The largest code of an intensity.
 const LARGEST_CODE: f32 = u16::MAX as f32;
 
-const SCRIPTS: [&str; 2] = [include_str!("data.js"), include_str!("cube.js")];
+const SCRIPTS: [&str; 3] =
+    [include_str!("data.js"), include_str!("shared.js"), include_str!("cube.js")];
 const TEMPLATE: &str = include_str!("cube.html");
 const CUBE_STYLE: &str = include_str!("cube.css");
 

@@ -1,8 +1,5 @@
 // Puts the page together: controls, keys, and the loop that draws.
 
-const $ = (id) => document.getElementById(id);
-const root = document.documentElement;
-
 const [COLUMNS_PX, ROWS_PX] = HEADER.size;
 /** Edges of the image; pixel (0, 0) is centred on the origin. */
 const BOUNDS = [
@@ -34,14 +31,6 @@ const shown = {
 };
 
 // ---- Colours -----------------------------------------------------------------------------------
-
-const MAPS = Object.fromEntries(HEADER.colormaps.map(([name, text]) => [
-  name,
-  Uint32Array.from({ length: 256 }, (_, i) => {
-    const hex = parseInt(text.slice(6 * i, 6 * i + 6), 16);
-    return packed([hex >> 16, (hex >> 8) & 255, hex & 255]);
-  }),
-]));
 
 /** Gives every level of the shown image that has its table the colours of its values. */
 function color() {
@@ -207,8 +196,7 @@ function readStyle() {
 }
 
 function toggleTheme() {
-  const dark = root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
-  root.dataset.theme = dark ? "light" : "dark";
+  switchTheme();
   readStyle();
 }
 
@@ -379,9 +367,4 @@ async function open() {
   for (const image of images) await image.pyramid.open();
 }
 
-if (typeof DecompressionStream === "undefined") {
-  complain("This browser is too old to unpack the page: Chrome or Edge 103, Firefox 113, Safari 16.4 or newer can.");
-} else {
-  open().catch((error) => complain(error.message));
-  checkEnd();
-}
+start(open);

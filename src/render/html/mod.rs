@@ -35,8 +35,9 @@ use crate::files::atomic_write;
 use crate::setting::Setting;
 
 /// What the page's code consists of, in this order.
-const SCRIPTS: [&str; 10] = [
+const SCRIPTS: [&str; 11] = [
     include_str!("data.js"),
+    include_str!("shared.js"),
     include_str!("smooth.js"),
     include_str!("tiles.js"),
     include_str!("view.js"),

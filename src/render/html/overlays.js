@@ -17,8 +17,6 @@ const PIECE = 512;
 const BUDGET = 7;
 
 const css = ([r, g, b], alpha = 1) => `rgb(${r} ${g} ${b} / ${alpha})`;
-/** A colour as one number, in the order of an image's bytes. */
-const packed = ([r, g, b], alpha = 255) => ((alpha << 24) | (b << 16) | (g << 8) | r) >>> 0;
 
 /** A ring as a little canvas, which is quicker to draw many times than a path. */
 function ringStamp(radius, color, alpha) {
