@@ -1,6 +1,5 @@
 //! README and the pages below docs/: what they show runs, and what they link to is there.
 
-use super::process::process;
 use super::{file, interpreter, stderr, stdout, stemgen};
 use std::path::{Path, PathBuf};
 
@@ -110,7 +109,7 @@ fn the_snippets_of_the_readme_run() {
          assert len(x) == len(y) == len(vacant) and 0 < vacant.sum() < len(x)"])
     {
         let script = format!("{snippet}\n{check}\n");
-        let mut python = process(interpreter::with_h5py());
+        let mut python = std::process::Command::new(interpreter::with_h5py());
         let run = python.current_dir(f).args(["-c", &script]).output().unwrap();
         assert!(run.status.success(), "{script}\n{}{}", stdout(&run), stderr(&run));
     }

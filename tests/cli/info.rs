@@ -33,7 +33,7 @@ fn made_again(arguments: &[&str]) -> String {
     }
     // As it is typed: a shell reads it.
     let program = Path::new(env!("CARGO_BIN_EXE_stemgen"));
-    let run = super::process::process("sh")
+    let run = std::process::Command::new("sh")
         .current_dir(second.path())
         .env("PATH", format!("{}:{}", program.parent().unwrap().display(), env!("PATH")))
         .env("STEMGEN_CACHE", super::cache(first.path()))

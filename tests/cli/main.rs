@@ -21,8 +21,6 @@ mod outputs;
 mod patterns;
 #[path = "../common/points.rs"]
 mod points;
-#[path = "../common/process.rs"]
-mod process;
 mod recipes;
 mod released;
 mod requests;
@@ -45,7 +43,7 @@ use std::sync::LazyLock;
 
 /// The program, run in `folder` as on a machine of two cores, with a library of the folder's own in place of the user's.
 fn stemgen(folder: &Path) -> Command {
-    let mut command = process::process(env!("CARGO_BIN_EXE_stemgen"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_stemgen"));
     command.current_dir(folder).stdin(std::process::Stdio::null());
     command.env("STEMGEN_CACHE", cache(folder)).env("RAYON_NUM_THREADS", "2");
     command
@@ -102,8 +100,7 @@ fn json(command: &mut Command) -> serde_json::Value {
 /// Runs a script of this folder with a Python that has h5py; returns what it prints.
 fn python(script: &str, arguments: &[&Path]) -> String {
     let script = file(&format!("tests/cli/{script}"));
-    let run =
-        process::process(interpreter::with_h5py()).arg(script).args(arguments).output().unwrap();
+    let run = Command::new(interpreter::with_h5py()).arg(script).args(arguments).output().unwrap();
     assert!(run.status.success(), "{}{}", stdout(&run), stderr(&run));
     stdout(&run)
 }

@@ -247,7 +247,7 @@ fn a_script_for_a_cluster_builds_the_world() {
     std::fs::write(&sbatch, SBATCH).unwrap();
     std::fs::set_permissions(&sbatch, std::fs::Permissions::from_mode(0o755)).unwrap();
     let path = format!("{}:{}", here.join("bin").display(), std::env::var("PATH").unwrap());
-    let told = by_script(here, super::process::process("bash").arg("jobs.sh").env("PATH", path));
+    let told = by_script(here, Command::new("bash").arg("jobs.sh").env("PATH", path));
     assert!(told.contains("job 3 writes w o r'ld.h5"), "{told}");
     let asked = std::fs::read_to_string(here.join("asked.txt")).unwrap();
     let asked: Vec<&str> = asked.lines().collect();
@@ -277,7 +277,7 @@ fn slurm_builds_the_world() {
     let here = folder.path();
     let wait = "last=$(bash jobs.sh); echo \"$last\"; number=${last#job }; number=${number%% *}; \
                 srun --dependency=afterany:$number true; cat slurm-*.out";
-    let mut around = super::process::process("bash");
+    let mut around = Command::new("bash");
     around.arg(file("tests/slurm/one_node.sh")).arg(here.join("slurm")).args(["bash", "-c", wait]);
     let told = by_script(here, &mut around);
     print!("{told}");

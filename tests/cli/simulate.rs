@@ -362,7 +362,7 @@ fn a_closed_pipe_is_no_fault() {
         env!("CARGO_BIN_EXE_stemgen"),
         file("structures/si.cif")
     );
-    let mut bash = super::process::process("bash");
+    let mut bash = Command::new("bash");
     let run = bash.args(["-c", &command]).current_dir(folder.path()).output().unwrap();
     assert!(run.status.success() && stderr(&run).is_empty(), "{}", stderr(&run));
 }

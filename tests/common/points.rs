@@ -5,7 +5,6 @@
 
 #![allow(dead_code, reason = "each program of tests uses its part")]
 
-use super::process::process;
 use super::skipped::skipped;
 use std::ffi::OsString;
 use std::path::Path;
@@ -49,7 +48,7 @@ pub fn can_trace() -> bool {
 
 /// The same command below strace, which injects `what` at a point and writes what it sees to `log`.
 fn traced(command: &Command, point: Point, what: &str, log: &Path) -> Command {
-    let mut strace = process("strace");
+    let mut strace = Command::new("strace");
     strace.args(["-f", "-qq", "-o"]).arg(log);
     strace.args(["-e", &format!("trace={}", point.call)]);
     let inject = format!("inject={}:{what}:when={}", point.call, point.count);

@@ -12,8 +12,6 @@ mod memory;
 mod paths;
 #[path = "../common/points.rs"]
 mod points;
-#[path = "../common/process.rs"]
-mod process;
 mod several_outputs;
 mod signals;
 #[path = "../common/skipped.rs"]

@@ -11,7 +11,6 @@ use std::time::Duration;
 
 use super::allocation::watch;
 use super::hdf5_process::read_by_the_program;
-use super::process;
 use super::targets::Target;
 
 /// Executions of each target unless `STEMGEN_FUZZ` says otherwise.
@@ -47,7 +46,7 @@ fn campaign(name: &'static str) {
     let note = folder.path().join("note");
     let (mut next, mut accepted, mut deaths, mut findings) = (first, 0, 0, Vec::new());
     while next < first + count && findings.len() < 20 {
-        let run = process(std::env::current_exe().unwrap())
+        let run = std::process::Command::new(std::env::current_exe().unwrap())
             .args(["--exact", "fuzz::executions", "--ignored", "--nocapture"])
             .env("STEMGEN_FUZZ_TARGET", name)
             .env("STEMGEN_FUZZ_NOTE", &note)

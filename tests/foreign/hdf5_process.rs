@@ -5,7 +5,6 @@ use std::process::{Command, Output, Stdio};
 
 use super::hdf5_files::{reference, world};
 use super::points::{Held, Point, can_trace};
-use super::process;
 
 /// A heap of texts whose first object has no size: libhdf5 1.10.8 looks for the next one for ever.
 fn endless(path: &Path, make: fn(&Path) -> hdf5::File) {
@@ -17,7 +16,7 @@ fn endless(path: &Path, make: fn(&Path) -> hdf5::File) {
 }
 
 fn stemgen(folder: &Path, arguments: &[&str]) -> Command {
-    let mut command = process(env!("CARGO_BIN_EXE_stemgen"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_stemgen"));
     command.current_dir(folder).env("STEMGEN_CACHE", folder.join("cache")).args(arguments);
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     command

@@ -11,14 +11,10 @@ mod large_files;
 mod mutation;
 #[path = "../common/points.rs"]
 mod points;
-#[path = "../common/process.rs"]
-mod process;
 mod recorded_files;
 #[path = "../common/skipped.rs"]
 mod skipped;
 mod targets;
-
-use process::process;
 
 #[global_allocator]
 static ALLOCATOR: allocation::Counting = allocation::Counting;

@@ -5,7 +5,6 @@ use std::sync::Mutex;
 use std::sync::atomic::Ordering::Relaxed;
 
 use crate::common::{Spots, build};
-use crate::process::process;
 use stemgen::io::WorldFile;
 use stemgen::progress::{Progress, Silent};
 use stemgen::recipe::{Difficulty, Recipe};
@@ -26,7 +25,11 @@ fn work_folder(output: &Path) -> PathBuf {
 
 fn assert_schema(path: &Path) {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/schema/check_world.py");
-    let run = process(crate::python::with_h5py()).arg(script).arg(path).output().unwrap();
+    let run = std::process::Command::new(crate::python::with_h5py())
+        .arg(script)
+        .arg(path)
+        .output()
+        .unwrap();
     let text = String::from_utf8_lossy(&run.stdout) + String::from_utf8_lossy(&run.stderr);
     assert!(run.status.success(), "{text}");
 }

@@ -23,8 +23,6 @@ mod own_atoms;
 mod pages;
 mod particles;
 mod pictures;
-#[path = "../common/process.rs"]
-mod process;
 #[path = "../common/python.rs"]
 mod python;
 mod recipes;

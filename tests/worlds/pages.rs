@@ -8,7 +8,6 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use crate::common::{Spots, build};
-use crate::process::process;
 use crate::skipped::skipped;
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
@@ -22,7 +21,7 @@ fn file(name: &str) -> PathBuf {
 /// Whether there is a browser.
 fn browser() -> bool {
     let script = file("tests/browser/webdriver.py");
-    let run = process(crate::python::with_h5py()).arg(script).output().unwrap();
+    let run = std::process::Command::new(crate::python::with_h5py()).arg(script).output().unwrap();
     if run.status.success() {
         return true;
     }
@@ -38,7 +37,7 @@ fn check(script: &str, arguments: &[impl AsRef<OsStr>]) {
         return;
     }
     let script = file(&format!("tests/browser/{script}"));
-    let run = process(crate::python::with_h5py())
+    let run = std::process::Command::new(crate::python::with_h5py())
         .arg(script)
         .args(arguments)
         .env("PYTHONDONTWRITEBYTECODE", "1")
@@ -49,7 +48,7 @@ fn check(script: &str, arguments: &[impl AsRef<OsStr>]) {
 }
 
 fn stemgen(folder: &Path, arguments: &[&str]) {
-    let mut command = process(env!("CARGO_BIN_EXE_stemgen"));
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_stemgen"));
     let run = command.current_dir(folder).args(arguments).output().unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
