@@ -453,11 +453,25 @@ pub fn dose_metrics(
     checkpoints: usize,
 ) -> PyResult<String> {
     let metrics = || -> Result<String, Fault> {
-        let mut curve = DoseCurve::default();
-        for [share, score] in records {
-            curve.record(share, score)?;
-        }
-        serde_json::to_string(&curve.metrics_of(checkpoints)).map_err(Fault::from)
+        serde_json::to_string(&dose_curve(records)?.metrics_of(checkpoints)).map_err(Fault::from)
     };
     metrics().or_raise(py)
+}
+
+/// Returns the scores of a [`DoseCurve`] at equally spaced shares of the budget, from records (share of the budget, score).
+#[pyfunction]
+pub fn dose_checkpoints(
+    py: Python<'_>,
+    records: Vec<[f64; 2]>,
+    checkpoints: usize,
+) -> PyResult<Vec<f64>> {
+    dose_curve(records).map(|curve| curve.checkpoints(checkpoints)).or_raise(py)
+}
+
+fn dose_curve(records: Vec<[f64; 2]>) -> Result<DoseCurve, Fault> {
+    let mut curve = DoseCurve::default();
+    for [share, score] in records {
+        curve.record(share, score)?;
+    }
+    Ok(curve)
 }

@@ -34,6 +34,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<pattern_cubes::PatternReader>()?;
     module.add_class::<tiles::TileSource>()?;
     module.add_class::<worlds::WorldReader>()?;
+    module.add_function(wrap_pyfunction!(bench::dose_checkpoints, module)?)?;
     module.add_function(wrap_pyfunction!(bench::dose_metrics, module)?)?;
     module.add_function(wrap_pyfunction!(builds::build_part, module)?)?;
     module.add_function(wrap_pyfunction!(builds::build_world, module)?)?;

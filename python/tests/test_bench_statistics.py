@@ -108,8 +108,8 @@ def test_dose_efficiency_has_the_paper_s_numbers() -> None:
     assert bench.dec_auc(curve, 5) == pytest.approx((0.1 + 0.3 + 0.5 + 0.6) / 4)
 
 
-def test_it_is_the_number_of_the_records() -> None:
-    """The core's own DEC-AUC is in every record."""
+def test_the_area_of_a_record_is_that_of_its_curve() -> None:
+    """NumPy's interpolation and trapezoids give the area that the core writes into every record."""
     import gymnasium as gym
 
     env = gym.make("stemworlds/DefectCensus-v0", recipe="test", set={"field.thickness_nm": 0.4}, cadence=1, overview=False)
@@ -117,4 +117,8 @@ def test_it_is_the_number_of_the_records() -> None:
     for seed in range(3):
         record = bench.play(env, agent, seed)
         assert len({score for _, score in record["curve"]}) >= 3
-        assert bench.dec_auc(record["curve"]) == pytest.approx(record["metrics"]["dec_auc"], abs=1e-9)
+        shares, at = np.array(record["curve"]).T, np.linspace(0, 1, 50)
+        scores = np.where(at < shares[0][0], 0.0, np.interp(at, *shares))
+        assert bench.on_checkpoints(record["curve"]) == pytest.approx(scores, abs=1e-9)
+        assert record["metrics"]["dec_auc"] == pytest.approx((scores[1:] + scores[:-1]).sum() / 98, abs=1e-9)
+        assert bench.dec_auc(record["curve"]) == record["metrics"]["dec_auc"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from .. import _core
 from ..errors import _invalid
 from .extras import needed
 
@@ -87,19 +89,16 @@ def on_checkpoints(curve: Sequence[Sequence[float]], checkpoints: int = CHECKPOI
 
     The score is 0 before the first record, linear between records, and constant after the last.
     """
-    at = np.linspace(0, 1, checkpoints)
-    if len(curve) == 0:
-        return np.zeros(checkpoints)
-    shares, scores = np.array(curve, dtype=np.float64).T
-    # A record at a checkpoint counts there, in spite of rounding errors of its share.
-    result: Values = np.where(at < shares[0] - 1e-9, 0.0, np.interp(at, shares, scores))
-    return result
+    return np.array(_core.dose_checkpoints(_records(curve), checkpoints), dtype=np.float64)
 
 
 def dec_auc(curve: Sequence[Sequence[float]], checkpoints: int = CHECKPOINTS) -> float:
     """Returns the area under the curve of score against share of the budget."""
-    scores = on_checkpoints(curve, checkpoints)
-    return float((scores[1:] + scores[:-1]).sum() / (2 * (checkpoints - 1)))
+    return float(json.loads(_core.dose_metrics(_records(curve), checkpoints))["dec_auc"])
+
+
+def _records(curve: Sequence[Sequence[float]]) -> list[tuple[float, float]]:
+    return [(float(share), float(score)) for share, score in curve]
 
 
 def _signed_rank(apart: Values, alternative: str) -> float:
