@@ -1,42 +1,97 @@
-//! Error and time of slices in a specimen without planes: a tilted Pt sphere of 2.8 nm in one phonon configuration.
+//! Error and time of slices in specimens without planes: a tilted Pt sphere of 2.8 nm in one phonon configuration, and a Au sphere on 3 nm of
+//! carbon at rest.
 //!
-//! `cargo bench --bench slices [-- SPAN ...]`: atoms within SPAN Angstrom along the beam share a slice, at one height for the whole
-//! cell, and where the atoms of each window are. Against slices of 0.02 A: rms error of bright pixels (above 40 % of the maximum) relative to their own intensity, their mean error, rms
-//! error of all pixels over the maximum, and CPU seconds (Linux; 0 elsewhere).
+//! `cargo bench --bench slices [-- [gold] SPAN ...]`: atoms within SPAN Angstrom along the beam share a slice, at one height for the whole
+//! cell, and where the atoms of each window are. Against slices of 0.02 A: rms error of bright pixels (above 40 % of the maximum) relative to
+//! their own intensity, their mean error, rms error of all pixels over the maximum and over the mean, and CPU seconds (Linux; 0 elsewhere).
 
 use stemgen::engine::phonons::displaced;
 use stemgen::engine::{Algorithm, Plan, ProbeStep, Scan, Settings, Site, simulate};
 use stemgen::potential::slices::Slicing;
 use stemgen::progress::Silent;
 
-const BOX: [f64; 3] = [34.0, 34.0, 30.0];
-const RADIUS: f64 = 14.0;
+/// Edges of the box in Angstrom, atoms, and the scan.
+struct Case {
+    name: &'static str,
+    cell: [f64; 3],
+    sites: Vec<Site>,
+    scan: Scan,
+    window: f64,
+}
 
-/// Displaced atoms of a sphere, turned by two angles.
-fn sphere() -> Vec<Site> {
-    const A: f64 = 3.924;
-    let (s1, c1) = 0.37_f64.sin_cos();
-    let (s2, c2) = 0.81_f64.sin_cos();
-    let mut sites = Vec::new();
+/// The positions within `radius` Angstrom of a face-centred cubic crystal, turned by two angles.
+fn sphere(edge: f64, radius: f64, turns: [f64; 2]) -> Vec<[f64; 3]> {
+    let [(s1, c1), (s2, c2)] = turns.map(f64::sin_cos);
+    let mut positions = Vec::new();
     for i in -16_i32..=16 {
         for j in -16_i32..=16 {
             for k in -16_i32..=16 {
                 if (i + j + k) % 2 != 0 {
                     continue;
                 }
-                let [x, y, z] = [i, j, k].map(|n| 0.5 * A * f64::from(n));
+                let [x, y, z] = [i, j, k].map(|n| 0.5 * edge * f64::from(n));
                 let (y, z) = (c1 * y - s1 * z, s1 * y + c1 * z);
                 let (x, z) = (c2 * x - s2 * z, s2 * x + c2 * z);
-                if x * x + y * y + z * z < RADIUS * RADIUS {
-                    let position = [x + 17.0, y + 17.0, z + 15.0];
-                    let key = sites.len() as u64;
-                    sites.push(Site { position, number: 78, sigma_angstrom: 0.07, key });
+                if x * x + y * y + z * z < radius * radius {
+                    positions.push([x, y, z]);
                 }
             }
         }
     }
-    let moved = |s: &Site| Site { position: displaced(s, 1, 0), sigma_angstrom: 0.0, ..*s };
-    sites.iter().map(moved).collect()
+    positions
+}
+
+fn scan(origin: [f64; 2], shape: [usize; 2]) -> Scan {
+    Scan { origin_angstrom: origin, step_angstrom: [0.28; 2], shape }
+}
+
+fn platinum() -> Case {
+    let site = |(key, p): (usize, [f64; 3])| {
+        let position = [p[0] + 17.0, p[1] + 17.0, p[2] + 15.0];
+        Site { position, number: 78, sigma_angstrom: 0.07, key: key as u64 }
+    };
+    let moved = |s: Site| Site { position: displaced(&s, 1, 0), sigma_angstrom: 0.0, ..s };
+    let sites = sphere(3.924, 14.0, [0.37, 0.81]).into_iter().enumerate().map(site).map(moved);
+    let (name, cell, scan) = ("Pt", [34.0, 34.0, 30.0], scan([12.0; 2], [36, 36]));
+    Case { name, cell, sites: sites.collect(), scan, window: 5.9 }
+}
+
+/// A sphere of some 400 atoms behind random carbon of 0.1 atoms per cubic Angstrom, no two nearer than 1.3 A.
+fn gold_on_carbon() -> Case {
+    const EDGE: f64 = 40.0;
+    const FILM: f64 = 30.0;
+    let mut carbon: Vec<[f64; 3]> = Vec::new();
+    let mut draws = 0;
+    while carbon.len() < (0.1 * EDGE * EDGE * FILM) as usize {
+        let one = [0, 1, 2].map(|k| {
+            let uniform = stemgen::rng::uniform(1, stemgen::rng::Purpose::AccuracySample, k, draws);
+            uniform * [EDGE, EDGE, FILM][k as usize]
+        });
+        draws += 1;
+        let near = |o: &[f64; 3]| {
+            let apart = |k: usize| {
+                let d = o[k] - one[k];
+                if k < 2 { d - EDGE * (d / EDGE).round() } else { d }
+            };
+            (0..3).map(|k| apart(k).powi(2)).sum::<f64>() < 1.3 * 1.3
+        };
+        if !carbon.iter().any(near) {
+            carbon.push(one);
+        }
+    }
+    let gold = sphere(4.078, 11.2, [0.0; 2]).into_iter();
+    let gold = gold.map(|p| (79, [p[0] + 20.0, p[1] + 20.0, p[2] + FILM + 13.0]));
+    let all = carbon.into_iter().map(|p| (6, p)).chain(gold).enumerate();
+    let site =
+        |(key, (number, position))| Site { position, number, sigma_angstrom: 0.0, key: key as u64 };
+    let (name, cell) = ("Au on carbon", [EDGE, EDGE, 56.0]);
+    Case {
+        name,
+        cell,
+        sites: all.map(site).collect(),
+        scan: scan([26.0, 16.0], [14, 14]),
+        window: 11.7,
+    }
 }
 
 fn cpu_seconds() -> f64 {
@@ -47,26 +102,31 @@ fn cpu_seconds() -> f64 {
 }
 
 fn main() {
-    let sites = sphere();
-    let z: Vec<f64> = sites.iter().map(|s| s.position[2]).collect();
-    let scan = Scan { origin_angstrom: [12.0; 2], step_angstrom: [0.28; 2], shape: [36, 36] };
-    let image = |slicing: Slicing| {
-        let algorithm = Algorithm::Window { width_angstrom: 5.9 };
-        let probe_step = ProbeStep::Scan;
-        let settings = Settings { algorithm, probe_step, slicing, ..Settings::default() };
-        let plan = Plan::new(&settings, BOX, &z).expect("a plan");
-        let start = cpu_seconds();
-        let images = simulate(&plan, &sites, &scan, &Silent).expect("an image");
-        (images.image(0, 0).mapv(f64::from), cpu_seconds() - start, plan.slices.len())
-    };
     let mut asked: Vec<f64> = std::env::args().filter_map(|a| a.parse().ok()).collect();
     if asked.is_empty() {
         asked = vec![0.1, 0.15, 0.25, 0.35, 0.5];
     }
+    let gold = std::env::args().any(|a| a == "gold");
+    let case = if gold { gold_on_carbon() } else { platinum() };
+    errors(&case, &asked);
+}
+
+fn errors(case: &Case, asked: &[f64]) {
+    let z: Vec<f64> = case.sites.iter().map(|s| s.position[2]).collect();
+    let image = |slicing: Slicing| {
+        let algorithm = Algorithm::Window { width_angstrom: case.window };
+        let probe_step = ProbeStep::Scan;
+        let settings = Settings { algorithm, probe_step, slicing, ..Settings::default() };
+        let plan = Plan::new(&settings, case.cell, &z).expect("a plan");
+        let start = cpu_seconds();
+        let images = simulate(&plan, &case.sites, &case.scan, &Silent).expect("an image");
+        (images.image(0, 0).mapv(f64::from), cpu_seconds() - start, plan.slices.len())
+    };
     let (exact, seconds, slices) = image(Slicing::Grouped(0.02));
-    println!("{} atoms; 0.02 A: {slices} slices, {seconds:.1} s", sites.len());
+    println!("{}, {} atoms; 0.02 A: {slices} slices, {seconds:.1} s", case.name, case.sites.len());
     let top = exact.iter().fold(0.0_f64, |m, v| m.max(*v));
-    for span in asked {
+    let middle = exact.mean().unwrap_or_default();
+    for &span in asked {
         for (name, slicing) in
             [("one height", Slicing::Grouped(span)), ("local", Slicing::Local(span))]
         {
@@ -78,11 +138,13 @@ fn main() {
             let rms = (bright.iter().map(|d| d * d).sum::<f64>() / n).sqrt();
             let mean = bright.iter().sum::<f64>() / n;
             let square = pairs().map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+            let all = 100.0 * (square / exact.len() as f64).sqrt();
             println!(
-                "{span:>5} A, {name:10}: {slices:4} slices, {seconds:5.1} s; bright {:.2} % rms ({:+.2} % mean), all {:.3} %",
+                "{span:>5} A, {name:10}: {slices:4} slices, {seconds:5.1} s; bright {:.2} % rms ({:+.2} % mean), all {:.3} % of the maximum, {:.2} % of the mean",
                 100.0 * rms,
                 100.0 * mean,
-                100.0 * (square / exact.len() as f64).sqrt() / top
+                all / top,
+                all / middle,
             );
         }
     }

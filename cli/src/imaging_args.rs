@@ -77,7 +77,7 @@ pub struct NumericsArgs {
     #[arg(long, value_name = "NX,NY", value_parser = values::counts2)]
     pub gpts: Option<[usize; 2]>,
     /// Largest thickness of slices in A; all slices are then equally thick [default: one slice for each atomic plane; without
-    /// planes, atoms within 0.5 A share a slice]
+    /// planes, atoms within 0.35 A share a slice in windows, and within 0.5 A with --engine multislice or prism]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     pub slice_thickness: Option<f64>,
     /// How an atom is distributed over slices [default: infinite]

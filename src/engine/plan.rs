@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::fft::{BandLimit, good_size};
 use crate::optics::{Focus, foci};
 use crate::potential::projected::Projection;
-use crate::potential::slices::Slices;
+use crate::potential::slices::{FINE_ANGSTROM, GROUP_ANGSTROM, Slices, Slicing};
 use serde::Serialize;
 
 /// Computations of a simulation, and their grids. A plan is final when [`Plan::new`] returns it: nothing changes it afterwards.
@@ -37,6 +37,9 @@ pub struct Plan {
     pub band_limit_mrad: f64,
     /// Slices.
     pub slices: Slices,
+    /// Whether each window puts slices at the heights of the atoms near its middle.
+    #[serde(skip)]
+    pub local_slices: bool,
     /// Indices of the slices after which images are recorded (0-based, increasing). The last is usually the last slice.
     pub record_after: Vec<usize>,
     /// Number of plane waves propagated with PRISM, 0 with other algorithms.
@@ -57,7 +60,9 @@ impl Plan {
     pub fn new(settings: &Settings, cell_angstrom: [f64; 3], z: &[f64]) -> Result<Self> {
         settings.validate()?;
         check_edges(cell_angstrom)?;
-        let slices = Slices::new(settings.slicing, cell_angstrom[2], z)?;
+        let windows = matches!(settings.algorithm, Algorithm::Window { .. });
+        let slicing = settings.slicing.resolved(windows, cell_angstrom[2], z);
+        let slices = Slices::new(slicing, cell_angstrom[2], z)?;
         let record_after = record_after(&settings.thicknesses_angstrom, &slices)?;
         let extent = [cell_angstrom[0], cell_angstrom[1]];
         let interpolation = match settings.algorithm {
@@ -78,6 +83,7 @@ impl Plan {
         };
         warnings.extend(aliasing_warning(settings));
         warnings.extend(same_slice_warning(settings, &record_after, &slices));
+        warnings.extend(coarse_slices_warning(settings.slicing, slicing));
         let wave = wave_grid.extent_angstrom;
         warnings.extend(probe_width::narrow_crop(settings, extent, wave, slices.thickness()));
         let (potential_grid, core_cutoff) = match smooths_potentials(settings) {
@@ -98,6 +104,7 @@ impl Plan {
             band_limit_mrad: (band_limit - settings.band_taper * grid.nyquist()) * wavelength * 1e3,
             record_after,
             slices,
+            local_slices: matches!(slicing, Slicing::Local(_)),
             beams: 0,
             exit_grid: None,
             warnings,
@@ -268,6 +275,17 @@ fn aliasing_warning(settings: &Settings) -> Option<String> {
     })
 }
 
+/// A warning about slices that are coarser than those of the exact engine.
+fn coarse_slices_warning(asked: Slicing, taken: Slicing) -> Option<String> {
+    let coarse = asked == Slicing::Auto && taken == Slicing::Grouped(GROUP_ANGSTROM);
+    coarse.then(|| {
+        format!(
+            "the atoms form no planes: atoms within {GROUP_ANGSTROM} A along the beam share a slice, which was found to change dark-field images \
+             by 0.5 to 3 % rms of their mean; slices of {FINE_ANGSTROM} A, or windows, have smaller errors"
+        )
+    })
+}
+
 /// A warning about thicknesses that end with the same slice: they share one image.
 fn same_slice_warning(settings: &Settings, after: &[usize], slices: &Slices) -> Option<String> {
     let asked = &settings.thicknesses_angstrom;
@@ -385,6 +403,25 @@ mod tests {
         );
         let bad = Settings { thicknesses_angstrom: vec![50.0], ..Settings::default() };
         assert!(Plan::new(&bad, CELL, &heights()).is_err());
+    }
+
+    #[test]
+    fn slices_that_are_left_open_follow_atoms_without_planes() {
+        let none: Vec<f64> = (0..400).map(|i| (f64::from(i) * 23.483).rem_euclid(38.0)).collect();
+        let plan = |algorithm, z: &[f64]| {
+            let settings = Settings { algorithm, slicing: Slicing::Auto, ..Settings::default() };
+            Plan::new(&settings, CELL, z).unwrap()
+        };
+        let windows = Algorithm::Window { width_angstrom: 7.8 };
+        let local = plan(windows, &none);
+        assert!(local.local_slices && local.warnings.is_empty(), "{:?}", local.warnings);
+        let whole = plan(Algorithm::Multislice, &none);
+        assert!(!whole.local_slices && whole.warnings[0].contains("0.1 A"), "{:?}", whole.warnings);
+        for algorithm in [windows, Algorithm::Multislice] {
+            let planes = plan(algorithm, &heights());
+            assert!(!planes.local_slices && planes.warnings.is_empty());
+            assert_eq!(planes.slices.len(), 20);
+        }
     }
 
     #[test]

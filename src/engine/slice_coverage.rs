@@ -7,7 +7,6 @@ use super::grid::Grid;
 use super::phonons::displaced;
 use super::plan::Plan;
 use crate::potential::projected::{PlacedAtom, Projection};
-use crate::potential::slices::Slicing;
 use crate::structure::Site;
 
 /// A slice is empty in a window if it has no atom within this distance from the window, in Angstrom. On a tilted Pt particle of 2.8 nm with
@@ -15,7 +14,7 @@ use crate::structure::Site;
 /// 0.38 times as long. With 0.5 A the changes would be 0.004 and 0.009 %, with 0 A 0.03 and 0.11 %.
 const NEAR_ANGSTROM: f64 = 1.0;
 /// Distance in Angstrom from the middle of a window at which an atom's weight is 1/e, for the height at which its slice acts in the window
-/// ([`Slicing::Local`]). Bright pixels of `cargo bench --bench slices`, with slices of 0.5 A that do not join, are off by 0.25 % with equal
+/// ([`Slicing::Local`](crate::potential::slices::Slicing::Local)). Bright pixels of `cargo bench --bench slices`, with slices of 0.5 A that do not join, are off by 0.25 % with equal
 /// weights, and by 0.20 / 0.15 / 0.11 / 0.11 % with 4 / 2.5 / 1.5 / 1 A; by 0.46 % where slices act at one height.
 const MIDDLE_ANGSTROM: f64 = 1.5;
 /// Slices join while the weighted sum of their atoms' squared distances from the common height is at most the square of this, in Angstrom.
@@ -132,7 +131,7 @@ impl SliceCoverage {
         };
         let slices = by_slice.iter().zip(&plan.slices.planes).map(sorted).collect();
         let spread = plan.settings.projection == Projection::Finite;
-        let local = plan.has_windows() && matches!(plan.settings.slicing, Slicing::Local(_));
+        let local = plan.has_windows() && plan.local_slices;
         let planes = plan.slices.planes.clone();
         let record_after = plan.record_after.clone();
         let window = plan.wave_grid.points;

@@ -13,6 +13,7 @@ use crate::imaging::pixels::PixelBox;
 use crate::potential::slices::Slicing;
 use crate::progress::Progress;
 use crate::progress::ProgressShare;
+use crate::recipe::tables::StructureKind;
 use crate::recipe::{BEYOND_FIELD_NM, Recipe};
 use crate::resample::{Kernel, image_band_limit};
 use crate::specimen::DISPLACED_NM;
@@ -52,8 +53,8 @@ impl Simulator {
         Simulator { settings }
     }
 
-    /// Default settings for a recipe: a grid that carries scattering beyond the detector, slices at the atomic planes, and the given
-    /// algorithm.
+    /// Default settings for a recipe: a grid that carries scattering beyond the detector, slices at the atomic planes (of a user's atoms:
+    /// [`Slicing::Auto`]), and the given algorithm.
     pub fn new(recipe: &Recipe, algorithm: Algorithm) -> Self {
         let optics = recipe.optics.optics();
         // Where pixels need no probes between them, they need no probes beyond the edge of the area either.
@@ -68,6 +69,10 @@ impl Simulator {
                 seed: recipe.seed,
             }),
             algorithm,
+            slicing: match recipe.structure {
+                StructureKind::Atoms => Slicing::Auto,
+                _ => Slicing::Planes,
+            },
             ..Settings::default()
         };
         Simulator { settings }

@@ -61,7 +61,7 @@ pub struct NumericsRequest {
     /// Grid points along x and y.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gpts: Option<[usize; 2]>,
-    /// Slices of equal thickness, at most this in Angstrom; `None`: one for each atomic plane.
+    /// Slices of equal thickness, at most this in Angstrom; `None`: [`Slicing::Auto`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slice_thickness_angstrom: Option<f64>,
     /// Distribution of an atom over slices.
@@ -173,7 +173,7 @@ impl NumericsRequest {
             detectors: microscope.detectors.clone(),
             parametrization: self.parametrization,
             projection: self.projection,
-            slicing: self.slice_thickness_angstrom.map_or(Slicing::Planes, Slicing::Thickness),
+            slicing: self.slice_thickness_angstrom.map_or(Slicing::Auto, Slicing::Thickness),
             grid,
             algorithm: self.algorithm()?,
             probe_step: self.probe_step,
@@ -319,7 +319,9 @@ mod tests {
     fn the_defaults_are_those_of_the_engine() {
         let microscope = MicroscopeRequest::default();
         let settings = NumericsRequest::default().settings(&microscope, 0.0, None, Vec::new());
-        assert_eq!(settings.unwrap(), Settings { direct_beam: true, ..Settings::default() });
+        let slicing = Slicing::Auto;
+        let expected = Settings { direct_beam: true, slicing, ..Settings::default() };
+        assert_eq!(settings.unwrap(), expected);
     }
 
     #[test]

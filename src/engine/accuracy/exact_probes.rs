@@ -1,6 +1,6 @@
 //! The exact engine for an infinite specimen: multislice over the whole cell, with the probe of a large box. In a wide cell it uses windows
 //! wide enough to give equal images. In a narrow cell, which would crop too much off a probe, the probe is made in the cell, as in periodic
-//! codes.
+//! codes. Where atoms form no planes, it takes thin slices.
 
 use super::super::cost::Cost;
 use super::super::elements;
@@ -11,6 +11,7 @@ use super::super::settings::{Algorithm, Expansion, ProbeBox, ProbeStep, Settings
 use super::super::simulate::Simulation;
 use super::probe_sample::DrawnCluster;
 use crate::error::Result;
+use crate::potential::slices::Slicing;
 use crate::progress::Progress;
 use crate::resample::image_band_limit;
 use crate::structure::Site;
@@ -57,6 +58,7 @@ impl ExactEngine {
         };
         let whole = Settings {
             algorithm,
+            slicing: settings.slicing.exact(thickness, heights),
             probe_box: Some(probe_box),
             probe_step: match settings.probe_step {
                 ProbeStep::Auto => interpolated_step(settings),
@@ -73,12 +75,16 @@ impl ExactEngine {
     /// Name of the engine for messages.
     pub fn name(&self) -> String {
         let settings = &self.plan.settings;
-        match (settings.algorithm, settings.probe_box) {
+        let name = match (settings.algorithm, settings.probe_box) {
             (Algorithm::Window { width_angstrom }, _) => {
                 format!("multislice in {width_angstrom:.0} A about each probe")
             }
             (_, Some(ProbeBox::Large)) => "multislice with the probe of a large box".to_owned(),
             _ => "multislice".to_owned(),
+        };
+        match settings.slicing {
+            Slicing::Grouped(span) => format!("{name}, in slices of {span} A"),
+            _ => name,
         }
     }
 
