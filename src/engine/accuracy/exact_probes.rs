@@ -1,6 +1,6 @@
 //! The exact engine for an infinite specimen: multislice over the whole cell, with the probe of a large box. In a wide cell it uses windows
 //! wide enough to give equal images. In a narrow cell, which would crop too much off a probe, the probe is made in the cell, as in periodic
-//! codes. Where atoms form no planes, it takes thin slices.
+//! codes. Where atoms form no planes, slices of the whole cell are thin.
 
 use super::super::cost::Cost;
 use super::super::elements;
@@ -58,7 +58,10 @@ impl ExactEngine {
         };
         let whole = Settings {
             algorithm,
-            slicing: settings.slicing.exact(thickness, heights),
+            slicing: match wide {
+                true => settings.slicing,
+                false => settings.slicing.exact(thickness, heights),
+            },
             probe_box: Some(probe_box),
             probe_step: match settings.probe_step {
                 ProbeStep::Auto => interpolated_step(settings),
