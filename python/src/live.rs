@@ -3,6 +3,7 @@
 use crate::builds::CacheChoice;
 use crate::errors::{Fault, Told};
 use crate::long_call::{Running, run};
+use crate::pattern_cubes::{dicts, record_patterns};
 use crate::recipes::checked;
 use crate::recordings::{as_dict, tell_columns, warn_of_clipping};
 use crate::request::Parsed;
@@ -15,6 +16,7 @@ use stemgen::Setting;
 use stemgen::imaging::PixelRect;
 use stemgen::live::{LiveOptions, LiveRequest, LiveSnapshot, LiveWorld};
 use stemgen::recipe::{CheckedRecipe, Region};
+use stemgen::simulation::PatternsRequest;
 use stemgen::specimen::SiteKind;
 use stemgen::world::{BuildOptions, ColumnTruth, RecordingRequest, SiteTruth};
 
@@ -94,6 +96,17 @@ fn truth(
     Ok(())
 }
 
+/// Fills in what a request leaves open from the recipe of a world.
+fn live_request(asked: &RecordingRequest, world: &LiveWorld) -> Result<LiveRequest, Fault> {
+    let recipe = world.recipe();
+    Ok(LiveRequest {
+        part: asked.part(recipe)?,
+        electrons: asked.electrons(recipe)?,
+        acquisition: asked.table(recipe).resolved(),
+        keep_frames: asked.keep_frames,
+    })
+}
+
 #[pymethods]
 impl LiveField {
     #[new]
@@ -133,18 +146,29 @@ impl LiveField {
         let world = Arc::clone(&self.world);
         let recording = run(py, running, move |call| {
             let mut world = locked(&world);
-            let recipe = world.recipe().clone();
-            let request = LiveRequest {
-                part: asked.0.part(&recipe)?,
-                electrons: asked.0.electrons(&recipe)?,
-                acquisition: asked.0.table(&recipe).resolved(),
-                keep_frames: asked.0.keep_frames,
-            };
+            let request = live_request(&asked.0, &world)?;
             let recording = world.acquire(&request, call)?;
             warn_of_clipping(&recording, call);
             Ok(recording)
         })?;
         as_dict(py, recording)
+    }
+
+    /// Simulates the patterns of a place, and changes the specimen. Returns a list with one dict, as `simulate_patterns` does.
+    fn acquire_patterns(
+        &self,
+        py: Python<'_>,
+        asked: Parsed<RecordingRequest>,
+        detector: Parsed<PatternsRequest>,
+        running: Running,
+    ) -> PyResult<Vec<Py<PyDict>>> {
+        let world = Arc::clone(&self.world);
+        let cubes = run(py, running, move |call| {
+            let mut world = locked(&world);
+            let request = live_request(&asked.0, &world)?;
+            record_patterns(&mut world, (&request, &detector.0), call)
+        })?;
+        dicts(py, cubes)
     }
 
     /// Returns the present truth of a region, in a dict.

@@ -16,15 +16,19 @@ use stemgen::engine::Scan;
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::pattern_file::{PatternFile, PatternHeader, data_bytes};
 use stemgen::io::pattern_run::PatternRun;
+use stemgen::live::{LiveRequest, LiveWorld};
 use stemgen::render::html::CubePage;
 use stemgen::setting::Setting;
-use stemgen::simulation::{PatternBand, PatternValues};
+use stemgen::simulation::{PatternBand, PatternValues, PatternsRequest, SimulationJob};
 
 /// Patterns of one defocus and thickness: fractions of the beam, or counted electrons.
-enum Cube {
+pub enum Cube {
     Fractions(Array4<f32>),
     Counts(Array4<u32>),
 }
+
+/// Patterns by defocus, then thickness, and the pattern of the beam without a specimen.
+pub type Cubes = (Vec<(PatternHeader, Cube)>, Array2<f32>);
 
 /// Simulates the patterns of a scan. Returns a list of dicts, by defocus, then thickness, with `data` (y, x, ky, kx) and its header.
 #[pyfunction]
@@ -35,18 +39,10 @@ pub fn simulate_patterns(
     force: bool,
     running: Running,
 ) -> PyResult<Vec<Py<PyDict>>> {
-    type Cubes = (Vec<(PatternHeader, Cube)>, Array2<f32>);
     let work = move |call: &LongCall| -> Result<Cubes, Fault> {
         let job = request.job(atoms.as_ref())?;
         check(&job, force, call)?;
-        let run = PatternRun { job: &job, output: Path::new(""), command_line: "" };
-        let headers = run.headers();
-        if !force {
-            let work = job.memory().map(|(bytes, _)| bytes).max().unwrap_or(0);
-            let bytes = work + headers.iter().map(data_bytes).sum::<u64>();
-            let remedy = "most of it is patterns: write them to a file (`out`), or take fewer probes or pixels";
-            stemgen::engine::check_memory(bytes, remedy)?;
-        }
+        let headers = headers(&job, force)?;
         let vacuum = job.vacuum_pattern()?;
         let mut cubes: Vec<Cube> = headers.iter().map(empty).collect();
         let each = headers.len() / job.plans().len();
@@ -59,7 +55,47 @@ pub fn simulate_patterns(
         }
         Ok((headers.into_iter().zip(cubes).collect(), vacuum))
     };
-    let (cubes, vacuum) = run(py, running, work)?;
+    dicts(py, run(py, running, work)?)
+}
+
+/// Simulates the patterns of a place of a live world. Returns a dict as [`simulate_patterns`] does; the place of the first probe is that in
+/// the field.
+pub fn record_patterns(
+    world: &mut LiveWorld,
+    asked: (&LiveRequest, &PatternsRequest),
+    call: &LongCall,
+) -> Result<Cubes, Fault> {
+    let place = world.patterns_at(asked.0, asked.1)?;
+    let mut headers = headers(place.job(), false)?;
+    headers.truncate(1);
+    for header in &mut headers {
+        header.scan.origin_angstrom = place.origin_nm().map(|nm| 10.0 * nm);
+    }
+    let vacuum = place.job().vacuum_pattern()?;
+    let mut cubes: Vec<Cube> = headers.iter().map(empty).collect();
+    let mut take = |band: PatternBand<'_>| {
+        cubes.iter_mut().for_each(|cube| cube.put(&band, 0));
+        Ok(())
+    };
+    world.acquire_patterns(&place, &mut take, call)?;
+    Ok((headers.into_iter().zip(cubes).collect(), vacuum))
+}
+
+/// The headers of a job's patterns. Refuses patterns that need more memory than is free, unless `force`.
+fn headers(job: &SimulationJob, force: bool) -> Result<Vec<PatternHeader>, Fault> {
+    let headers = PatternRun { job, output: Path::new(""), command_line: "" }.headers();
+    if !force {
+        let work = job.memory().map(|(bytes, _)| bytes).max().unwrap_or(0);
+        let bytes = work + headers.iter().map(data_bytes).sum::<u64>();
+        let remedy =
+            "most of it is patterns: write them to a file (`out`), or take fewer probes or pixels";
+        stemgen::engine::check_memory(bytes, remedy)?;
+    }
+    Ok(headers)
+}
+
+/// Makes a dict of each cube.
+pub fn dicts(py: Python<'_>, (cubes, vacuum): Cubes) -> PyResult<Vec<Py<PyDict>>> {
     let dict = |(header, cube): (PatternHeader, Cube)| {
         let out = described(py, &header)?;
         match cube {

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from . import _core
 from ._forking import Used
 from ._running import Progress, call, running
 from .images import Image
+from .patterns import DataCube, _cubes, _detector
 from .recipes import Acquisition, Difficulty, Recipe, RecipeLike
 from .recording import Recording, _recording, recording_request
 from .worlds import COLUMN_DTYPE, SITE_DTYPE, StructuredArray
@@ -121,6 +123,50 @@ class LiveWorld:
         )
         recorded = self._used.by(call)(self._field.acquire, request, running(self._threads, progress))
         return _recording(recorded, keep_frames)
+
+    def acquire_patterns(
+        self,
+        *,
+        region_nm: Region | None = None,
+        at_nm: tuple[float, float] | None = None,
+        zoom: float | None = None,
+        pixel_nm: float | None = None,
+        dose: float | None = None,
+        current_pa: float | None = None,
+        dwell_us: float | None = None,
+        pixels: int | None = None,
+        max_angle_mrad: float | None = None,
+        radial_mrad: float | None = None,
+        mtf: float | npt.ArrayLike | None = None,
+        coherent_tail: bool | None = None,
+        progress: Progress = False,
+    ) -> DataCube:
+        """Records the diffraction pattern of every probe of a place (4D-STEM), with counted electrons.
+
+        The place is chosen as in :meth:`acquire`, the detector as in :func:`stemworlds.simulate_patterns`. Patterns show the specimen as it
+        is before the scan. At the end of the scan, its electrons change the specimen. The scan has no errors. Each probe is simulated, so a
+        place of 64 x 64 probes takes minutes.
+
+        Returns:
+            The patterns, uint32. ``axes.origin_angstrom`` is the place (y, x) of the first probe in the field.
+
+        Raises:
+            InvalidValue: if a probe would be outside the field, if the dose would exceed ``most_dose``, or if there is carbon on the faces of
+                the specimen, which patterns would leave out. The world is then unchanged.
+            NotEnoughMemory: for more patterns than the memory holds.
+        """
+        request = recording_request(
+            region_nm=region_nm,
+            at_nm=at_nm,
+            zoom=zoom,
+            pixel_nm=pixel_nm,
+            electrons_per_angstrom2=dose,
+            current_pa=current_pa,
+            dwell_us=dwell_us,
+        )
+        detector = _detector(pixels, max_angle_mrad, radial_mrad, mtf, coherent_tail)
+        (cube,) = _cubes(self._used.by(call)(self._field.acquire_patterns, request, detector, running(self._threads, progress)))
+        return cube
 
     def columns(self, region_nm: Region) -> StructuredArray:
         """Returns the present columns in a region, :data:`COLUMN_DTYPE`."""

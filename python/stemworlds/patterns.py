@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path as _FilePath
 from typing import Any, Unpack, cast
@@ -428,7 +428,10 @@ def _simulate(
             raise _invalid("out", f"{os.fspath(out)!r}: patterns are written as .emd; the command `stemgen patterns` writes other files")
         files = call(_core.write_patterns, request, arrays, os.fspath(out), overwrite, force, running)
         return tuple(DataCube.open(path) for path in files)
-    found = call(_core.simulate_patterns, request, arrays, force, running)
+    return _cubes(call(_core.simulate_patterns, request, arrays, force, running))
+
+
+def _cubes(found: Iterable[_core.Patterns]) -> tuple[DataCube, ...]:
     return tuple(DataCube(_axes(item), item["data"], item["vacuum"]) for item in found)
 
 

@@ -39,6 +39,40 @@ def test_recordings_take_atoms_away(library: str) -> None:
     assert len(live.sites(PLACE)) == inside["sites"].sum()
 
 
+def test_patterns_of_a_place_show_the_specimen_and_cost_its_dose(library: str) -> None:
+    found = []
+    for threads in (1, 2):
+        live = world(library, threads=threads)
+        place = (1.3, 1.2, 1.7, 1.5)
+        before = live.look(place)
+        cube = live.acquire_patterns(region_nm=place, pixel_nm=0.05, dose=2e5, pixels=64, max_angle_mrad=200.0)
+        assert cube.axes.shape == (6, 8, 64, 64) and cube.data.dtype == np.uint32
+        assert cube.axes.origin_angstrom == pytest.approx((12.25, 13.25)) and cube.axes.energy_kv == 200.0
+        assert cube.axes.electrons_per_pattern == pytest.approx(2e5 * 0.25)
+        [done] = live.history
+        assert done["shape"] == [6, 8] and done["lost"]["O"] > 0 and live.dose((1.35, 1.25, 1.65, 1.45)) == pytest.approx(2e5, rel=0.05)
+        found.append(cube.data)
+    assert found[0].tobytes() == found[1].tobytes()
+    # The annulus of the world's detector has the brightness of the world's image; other displacements of the atoms make the difference.
+    ring = cube.virtual_image(68.0, 200.0).array.mean() / cube.axes.electrons_per_pattern
+    (y0, x0), step = before.image.origin_nm, before.image.sampling_nm[0]
+    y, x = ((np.arange(n) + 0.5) * 0.05 + first for n, first in ((6, 1.2), (8, 1.3)))
+    rows, columns = ((places - first) / step for places, first in ((y, y0), (x, x0)))
+    known = before.image.array[np.ix_(rows.round().astype(int), columns.round().astype(int))].mean()
+    assert ring == pytest.approx(known, rel=0.1)
+
+
+def test_patterns_that_a_world_cannot_have_are_refused(library: str) -> None:
+    live = world(library)
+    with pytest.raises(sw.InvalidValue, match="made for up to 500000"):
+        live.acquire_patterns(at_nm=(1.9, 1.9), zoom=2, dose=6e5)
+    with pytest.raises(sw.InvalidValue, match="probes inside the field"):
+        live.acquire_patterns(region_nm=(-0.5, 1.0, 0.5, 1.2), pixel_nm=0.05, dose=1e3)
+    with pytest.raises(sw.InvalidValue, match="leave one of the two out"):
+        live.acquire_patterns(at_nm=(1.9, 1.9), pixels=32, radial_mrad=1.0)
+    assert live.history == ()
+
+
 def test_snapshots_and_threads_give_the_same_bytes(library: str) -> None:
     one, two = world(library, threads=1), world(library, threads=2)
     for live in (one, two):

@@ -40,6 +40,9 @@ pub struct Plan {
     /// Whether each window puts slices at the heights of the atoms near its middle.
     #[serde(skip)]
     pub local_slices: bool,
+    /// Whether atoms near each other along the beam share a slice.
+    #[serde(skip)]
+    pub group_slices: bool,
     /// Indices of the slices after which images are recorded (0-based, increasing). The last is usually the last slice.
     pub record_after: Vec<usize>,
     /// Number of plane waves propagated with PRISM, 0 with other algorithms.
@@ -83,7 +86,6 @@ impl Plan {
         };
         warnings.extend(aliasing_warning(settings));
         warnings.extend(same_slice_warning(settings, &record_after, &slices));
-        warnings.extend(coarse_slices_warning(settings.slicing, slicing));
         let wave = wave_grid.extent_angstrom;
         warnings.extend(probe_width::narrow_crop(settings, extent, wave, slices.thickness()));
         let (potential_grid, core_cutoff) = match smooths_potentials(settings) {
@@ -105,6 +107,7 @@ impl Plan {
             record_after,
             slices,
             local_slices: matches!(slicing, Slicing::Local(_)),
+            group_slices: matches!(slicing, Slicing::Grouped(_)),
             beams: 0,
             exit_grid: None,
             warnings,
@@ -124,6 +127,17 @@ impl Plan {
         (!crops)
             .then(|| probe_width::narrow_cell(&self.settings, cell, self.slices.thickness()))
             .flatten()
+    }
+
+    /// A warning about slices that were left open and are coarser than those of the exact engine.
+    pub fn coarse_slices(&self) -> Option<String> {
+        let coarse = self.settings.slicing == Slicing::Auto && self.group_slices;
+        coarse.then(|| {
+            format!(
+                "the atoms form no planes: atoms within {GROUP_ANGSTROM} A along the beam share a slice, which was found to change dark-field images \
+                 by 0.5 to 3 % rms of their mean; slices of {FINE_ANGSTROM} A, or windows, have smaller errors"
+            )
+        })
     }
 
     /// Whether waves are propagated in windows instead of the whole cell.
@@ -275,17 +289,6 @@ fn aliasing_warning(settings: &Settings) -> Option<String> {
     })
 }
 
-/// A warning about slices that are coarser than those of the exact engine.
-fn coarse_slices_warning(asked: Slicing, taken: Slicing) -> Option<String> {
-    let coarse = asked == Slicing::Auto && taken == Slicing::Grouped(GROUP_ANGSTROM);
-    coarse.then(|| {
-        format!(
-            "the atoms form no planes: atoms within {GROUP_ANGSTROM} A along the beam share a slice, which was found to change dark-field images \
-             by 0.5 to 3 % rms of their mean; slices of {FINE_ANGSTROM} A, or windows, have smaller errors"
-        )
-    })
-}
-
 /// A warning about thicknesses that end with the same slice: they share one image.
 fn same_slice_warning(settings: &Settings, after: &[usize], slices: &Slices) -> Option<String> {
     let asked = &settings.thicknesses_angstrom;
@@ -414,12 +417,12 @@ mod tests {
         };
         let windows = Algorithm::Window { width_angstrom: 7.8 };
         let local = plan(windows, &none);
-        assert!(local.local_slices && local.warnings.is_empty(), "{:?}", local.warnings);
+        assert!(local.local_slices && local.coarse_slices().is_none());
         let whole = plan(Algorithm::Multislice, &none);
-        assert!(!whole.local_slices && whole.warnings[0].contains("0.1 A"), "{:?}", whole.warnings);
+        assert!(!whole.local_slices && whole.coarse_slices().unwrap().contains("0.1 A"));
         for algorithm in [windows, Algorithm::Multislice] {
             let planes = plan(algorithm, &heights());
-            assert!(!planes.local_slices && planes.warnings.is_empty());
+            assert!(!planes.local_slices && planes.coarse_slices().is_none());
             assert_eq!(planes.slices.len(), 20);
         }
     }

@@ -7,7 +7,7 @@ use ndarray::Array2;
 
 use super::block_imager::BlockImager;
 use super::live_history::{LiveAcquisition, LiveSnapshot};
-use crate::acquisition::Acquisition;
+use crate::acquisition::{Acquisition, Exposure, ScanPath};
 use crate::error::{Error, Result};
 use crate::imaging::{GrownCarbon, MOST_GROWN_ANGSTROM, MethodChoice, PixelRect, RegionImager};
 use crate::progress::{InterruptOnly, Progress, Silent};
@@ -249,6 +249,11 @@ impl LiveWorld {
         Ok(())
     }
 
+    /// Whether carbon has grown anywhere.
+    pub(super) fn has_carbon(&self) -> bool {
+        self.carbon.greatest() > 0.0
+    }
+
     /// Mean thickness in nm of the carbon that has grown on a region (nm from the centre of the first built pixel).
     pub fn mean_carbon_nm(&self, region: &Region) -> f64 {
         0.1 * self.carbon.mean(&self.in_full_field(region))
@@ -314,8 +319,44 @@ impl LiveWorld {
         let (specimen, carbon) = (&*self.specimen, carbon.as_ref());
         let recording = record_over(recipe, specimen, &source, part, &options, carbon, &quiet)?;
         self.carbon.add_all(&grown(&path, &exposure, rate));
+        let carbon_nm = recording.carbon_nm.first().copied().unwrap_or(0.0);
+        self.change((&request.part, carbon_nm), (&path, &exposure), (&spent, area));
+        Ok(recording)
+    }
+
+    /// Refuses a scan whose dose is above the world's largest.
+    pub(super) fn check_scan(
+        &self,
+        part: &RecordedPart,
+        path: &ScanPath,
+        exposure: &Exposure,
+    ) -> Result<()> {
+        let mut spent = DoseMap::default();
+        expose(&mut spent, path, exposure);
+        self.check_dose(part, exposure.dose(), &spent)
+    }
+
+    /// Changes the specimen by the electrons of a scan that no image was made of.
+    pub(super) fn change_by_scan(
+        &mut self,
+        part: &RecordedPart,
+        path: &ScanPath,
+        exposure: &Exposure,
+    ) {
+        let mut spent = DoseMap::default();
+        let area = expose(&mut spent, path, exposure);
+        self.change((part, 0.0), (path, exposure), (&spent, area));
+    }
+
+    /// Changes the specimen by the electrons of a scan, which fell into an area, and adds the scan to the history.
+    fn change(
+        &mut self,
+        (part, carbon_nm): (&RecordedPart, f64),
+        (path, exposure): (&ScanPath, &Exposure),
+        (spent, area): (&DoseMap, Region),
+    ) {
         let before = self.atoms(&area);
-        self.specimen.expose(|dose| dose.add_all(&spent));
+        self.specimen.expose(|dose| dose.add_all(spent));
         self.imager.changed(area);
         let lost = lost(&before, &self.atoms(&area));
         let begun_s = self.history.last().map_or(0.0, |last| last.begun_s + last.duration_s);
@@ -329,14 +370,13 @@ impl LiveWorld {
             dose: exposure.dose(),
             current_pa: exposure.current_pa(),
             electrons: spent.electrons(),
-            carbon_nm: recording.carbon_nm.first().copied().unwrap_or(0.0),
+            carbon_nm,
             lost,
         });
-        Ok(recording)
     }
 
     /// Seed of the next recording.
-    fn recording_seed(&self) -> u64 {
+    pub(super) fn recording_seed(&self) -> u64 {
         let [low, high, ..] =
             words(self.recipe.seed, Purpose::LiveRecording, 0, self.history.len() as u64);
         u64::from(high) << 32 | u64::from(low)
@@ -440,11 +480,7 @@ fn own_recipe(recipe: &CheckedRecipe, seed: u64) -> Result<CheckedRecipe> {
 }
 
 /// Adds the electrons of a scan to a dose map, line by line. Returns the exposed area (nm of the full field).
-fn expose(
-    dose: &mut DoseMap,
-    path: &crate::acquisition::ScanPath,
-    exposure: &crate::acquisition::Exposure,
-) -> Region {
+fn expose(dose: &mut DoseMap, path: &ScanPath, exposure: &Exposure) -> Region {
     let mut area = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
     for number in 0..path.frames() {
         let own = expose_frame(dose, path, exposure.electrons_per_pixel, number);

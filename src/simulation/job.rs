@@ -57,8 +57,11 @@ impl SimulationJob {
         all.extend(specimen.notes.iter().cloned().map(Warning::from));
         all.extend(request.microscope.warnings());
         all.append(&mut warnings);
-        let job =
+        let mut job =
             SimulationJob { request, specimen, plans, scan, accuracies: Vec::new(), warnings: all };
+        if job.accuracy_asked().is_none() {
+            job.warnings.extend(job.plans[0].coarse_slices().map(Warning::from));
+        }
         job.check_dose()?;
         Ok(job)
     }

@@ -47,7 +47,7 @@ pub use images::{FRACTION_OF_BEAM, SimulatedImage, noisy_name};
 pub use job::SimulationJob;
 pub use microscope::MicroscopeRequest;
 pub use numerics_request::{Engine, NumericsRequest, WINDOW_ANGSTROM, algorithm};
-pub use pattern_job::{PatternBand, PatternValues, PatternsRequest};
+pub use pattern_job::{PatternBand, PatternValues, PatternsRequest, pattern_window_angstrom};
 pub use plan_report::{GridReport, PlanReport, SliceReport};
 pub use plane_wave::PlaneWaveImages;
 pub use plausibility::{

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::job::SimulationJob;
+use super::microscope::MicroscopeRequest;
 use super::numerics_request::NumericsRequest;
 use super::request::SimulationRequest;
 use super::source_patterns::SourceRaster;
@@ -123,15 +124,20 @@ pub(super) fn numerics(
     let free = numerics.engine.is_none()
         && numerics.window_angstrom.is_none()
         && numerics.interpolation.is_none();
-    let semiangle = 1e-3 * request.microscope.semiangle_mrad;
-    let defocus = request.microscope.defocus_angstrom.iter().map(|d| d.abs()).fold(0.0, f64::max);
-    let reach = semiangle * (defocus + size_angstrom[2]);
-    let width = (10.0 * (2.0 * reach + LEAST_WINDOW_ANGSTROM)).ceil() / 10.0;
+    let width = pattern_window_angstrom(&request.microscope, size_angstrom[2]);
     let cell = size_angstrom[0].min(size_angstrom[1]);
     if free && width <= MOST_WINDOW_ANGSTROM && width < 0.9 * cell {
         numerics.window_angstrom = Some(width);
     }
     Ok(numerics)
+}
+
+/// Width in Angstrom of a window that contains the probe throughout a specimen of this thickness, for patterns within 0.1 % of their maximum.
+pub fn pattern_window_angstrom(microscope: &MicroscopeRequest, thickness_angstrom: f64) -> f64 {
+    let semiangle = 1e-3 * microscope.semiangle_mrad;
+    let defocus = microscope.defocus_angstrom.iter().map(|d| d.abs()).fold(0.0, f64::max);
+    let reach = semiangle * (defocus + thickness_angstrom);
+    (10.0 * (2.0 * reach + LEAST_WINDOW_ANGSTROM)).ceil() / 10.0
 }
 
 /// The settings for patterns: the grid carries the detector, and every probe is propagated.

@@ -8,6 +8,7 @@ use stemgen::imaging::{AuditOptions, Cache, PixelRect, RegionImager, audit};
 use stemgen::live::{LiveOptions, LiveRequest, LiveSnapshot, LiveWorld};
 use stemgen::progress::Silent;
 use stemgen::recipe::{CheckedRecipe, Recipe, Region};
+use stemgen::simulation::PatternsRequest;
 use stemgen::specimen::{DamagedSpecimen, SiteKind, Specimen, specimen};
 use stemgen::world::{BuildMethod, BuildOptions, Electrons, RecordedPart};
 
@@ -538,4 +539,27 @@ fn measured_latency_memory_and_audits() {
         }
     }
     println!("10 000 recordings: {:?}, {}", begun.elapsed(), memory());
+}
+
+/// Patterns are of the atoms that are left, and the place of a probe is that of an image's pixel.
+#[test]
+fn patterns_are_of_the_atoms_that_are_left() {
+    let mut world = world(&[]);
+    let asked = request([1.6, 1.6], 4.0, 4e5);
+    let oxygen = |world: &LiveWorld| {
+        let place = world.patterns_at(&asked, &PatternsRequest::default()).unwrap();
+        let job = place.job();
+        let middle = [0, 1].map(|k| {
+            let n = job.scan().shape[1 - k] as f64;
+            place.origin_nm()[k] + 0.05 * (n - 1.0) * job.scan().step_angstrom[k]
+        });
+        assert!((0..2).all(|k| (middle[k] - 1.6).abs() < 1e-9), "{middle:?}");
+        job.specimen().composition()["O"]
+    };
+    let before = oxygen(&world);
+    world.acquire(&asked, &Silent).unwrap();
+    assert!(oxygen(&world) < before, "{} of {before}", oxygen(&world));
+    let outside = request([0.1, 1.6], 1.0, 1.0);
+    let fault = world.patterns_at(&outside, &PatternsRequest::default()).err().unwrap();
+    assert!(fault.to_string().contains("probes inside the field"), "{fault}");
 }
