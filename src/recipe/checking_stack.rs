@@ -4,17 +4,18 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::atoms_table::NO_CRYSTAL;
+use super::checking_amorphous::packing;
 use super::checking_extended::{check_dislocations, check_faults, check_precipitates};
+use super::checking_interfaces::{check_exchange, check_roughness};
 use super::fault::{Checked, crystal_fault, fault, needed, within};
 use super::limits::BEYOND_FIELD_NM;
 use super::oriented_crystals::{OrientedCrystals, oriented_box};
 use super::resolved_recipe::Recipe;
-use super::stack_table::{
-    DEFAULT_CORRELATION_NM, DEFAULT_POISSON_RATIO, LayerFit, MOST_PARTS, StackLayer, StackTable,
+use super::stack_table::{DEFAULT_POISSON_RATIO, LayerFit, MOST_PARTS, StackLayer, StackTable};
+use super::stacked_crystals::{
+    FittedCrystal, PlacedPrecipitate, StackedCrystals, StackedLayer, StackedMatter,
 };
-use super::stacked_crystals::{FittedCrystal, StackedCrystals, StackedLayer, StackedMatter};
 use super::tables::Field;
-use crate::damage::atomic_mass;
 use crate::models::stack::atomic_planes::{AtomicPlane, atomic_planes, parse_formula};
 use crate::models::stack::lattice_fit::{CellMatch, closest, coherent, coincident, normal_strain};
 use crate::models::stack::layer_places::{LayerMatter, layer_places};
@@ -24,16 +25,12 @@ use crate::structure::{Structure, elements};
 
 /// Angstrom in a nm.
 const PER_NM: f64 = 10.0;
-/// Atoms in a cubic Angstrom for 1 g/cm3 and one atomic mass unit.
-const PER_ANGSTROM3: f64 = 0.602_214_076;
 /// Least thickness of a layer in nm.
 const THINNEST_NM: f64 = 0.3;
 /// Greatest thickness of a specimen along the beam in nm.
 const THICKEST_NM: f64 = 1000.0;
 /// Largest number of atoms of a specimen that is held in memory.
 const MOST_ATOMS: f64 = 1e7;
-/// Largest number of points of all rough interfaces together, six for each correlation length along both axes.
-const MOST_INTERFACE_POINTS: f64 = 2e7;
 
 /// Returns the key of a value of a layer, which counts from 1.
 pub fn layer_key(index: usize, name: &str) -> String {
@@ -68,6 +65,17 @@ pub fn check_stack(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> 
     let dislocations = check_dislocations(table, &layers, &recipe.field)?;
     let precipitates = check_precipitates(table, &recipe.field)?;
     check_atoms(&layers, end, table, &recipe.field)?;
+    let (least, symbols) = distances_and_elements(&layers, &precipitates);
+    let phases = table.phases();
+    let stack = StackedCrystals { phases, layers, end, dislocations, precipitates, least };
+    Ok((OrientedCrystals::Stack(Arc::new(stack)), symbols))
+}
+
+/// Returns the least distances of the atoms of a stack, and the symbols of its elements.
+fn distances_and_elements(
+    layers: &[StackedLayer],
+    precipitates: &[PlacedPrecipitate],
+) -> (LeastDistances, Vec<String>) {
     let boxes = || {
         let of_layers = layers.iter().filter_map(|layer| match &layer.matter {
             StackedMatter::Crystal(crystal) => Some(&crystal.structure),
@@ -84,9 +92,7 @@ pub fn check_stack(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> 
     let mut symbols: Vec<String> =
         numbers.iter().map(|z| elements::symbol(*z).to_owned()).collect();
     symbols.sort();
-    let phases = table.phases();
-    let stack = StackedCrystals { phases, layers, end, dislocations, precipitates, least };
-    Ok((OrientedCrystals::Stack(Arc::new(stack)), symbols))
+    (least, symbols)
 }
 
 fn check_numbers(table: &StackTable) -> Checked {
@@ -127,6 +133,29 @@ fn check_layer(table: &StackTable, n: usize, layer: &StackLayer) -> Checked {
             return fault(&key("thickness_nm"), "(missing)", expected);
         }
     }
+    check_keys(n, layer)?;
+    if let Some(shift) = layer.shift_cells {
+        shift.iter().try_for_each(|s| within(&key("shift_cells"), *s, -1.0, 1.0))?;
+    }
+    if let Some(ratio) = layer.poisson_ratio {
+        within(&key("poisson_ratio"), ratio, 0.0, 0.499)?;
+    }
+    let of_interface = [
+        ("roughness_nm", layer.roughness_nm.is_some()),
+        ("interdiffusion_nm", layer.interdiffusion_nm.is_some()),
+    ];
+    match of_interface.iter().find(|(_, given)| *given && n == 0) {
+        Some((name, _)) => {
+            let expected = "it describes the interface at which a layer begins, and the first layer has none; give it in the next layer";
+            fault(&key(name), "(given)", expected)
+        }
+        None => Ok(()),
+    }
+}
+
+/// Refuses values that a crystal or amorphous matter does not have.
+fn check_keys(n: usize, layer: &StackLayer) -> Checked {
+    let key = |name: &str| layer_key(n, name);
     let crystal_keys = [
         ("zone_axis", layer.zone_axis.is_some()),
         ("y_axis", layer.y_axis.is_some()),
@@ -150,23 +179,7 @@ fn check_layer(table: &StackTable, n: usize, layer: &StackLayer) -> Checked {
     if let Some((name, _)) = foreign.iter().find(|(_, given)| *given) {
         return fault(&key(name), "(given)", format!("{kind} has no such value; leave it out"));
     }
-    if let Some(shift) = layer.shift_cells {
-        shift.iter().try_for_each(|s| within(&key("shift_cells"), *s, -1.0, 1.0))?;
-    }
-    if let Some(ratio) = layer.poisson_ratio {
-        within(&key("poisson_ratio"), ratio, 0.0, 0.499)?;
-    }
-    let of_interface = [
-        ("roughness_nm", layer.roughness_nm.is_some()),
-        ("interdiffusion_nm", layer.interdiffusion_nm.is_some()),
-    ];
-    match of_interface.iter().find(|(_, given)| *given && n == 0) {
-        Some((name, _)) => {
-            let expected = "it describes the interface at which a layer begins, and the first layer has none; give it in the next layer";
-            fault(&key(name), "(given)", expected)
-        }
-        None => Ok(()),
-    }
+    Ok(())
 }
 
 /// Reads the crystal of each layer; `None` for amorphous layers.
@@ -382,92 +395,6 @@ fn plane_index(
     fault(&layer_key(n, name), text, expected)
 }
 
-/// Known amorphous matter: formula, density in g/cm3, and least distances in Angstrom.
-///
-/// SiO2: density 2.20 g/cm3; Si-O 1.62, O-O 2.65, Si-Si 3.12 A (R. L. Mozzi and B. E. Warren, J. Appl. Cryst. 2 (1969) 164). Si: 2.285
-/// g/cm3 (J. S. Custer et al., Appl. Phys. Lett. 64 (1994) 437), 2.35 A. C: 2.0 g/cm3, 1.3 A, as the films of this program. The least
-/// distances are about 0.92 times the mean distances.
-const GLASSES: [(&str, f64, &[(&str, f64)]); 3] = [
-    ("SiO2", 2.20, &[("Si-O", 1.5), ("O-O", 2.35), ("Si-Si", 2.8)]),
-    ("Si", 2.285, &[("Si-Si", 2.15)]),
-    ("C", 2.0, &[("C-C", 1.3)]),
-];
-
-/// Makes the packing of an amorphous layer.
-fn packing(n: usize, layer: &StackLayer) -> Checked<Packing> {
-    let text = layer.amorphous.clone().unwrap_or_default();
-    let formula = match parse_formula(&text) {
-        Ok(formula) => formula,
-        Err(expected) => return fault(&layer_key(n, "amorphous"), text, expected),
-    };
-    let known =
-        GLASSES.iter().find(|(name, ..)| parse_formula(name).ok().as_ref() == Some(&formula));
-    let density = match (layer.density_g_per_cm3, known) {
-        (Some(density), _) => density,
-        (None, Some((_, density, _))) => *density,
-        (None, None) => {
-            return fault(
-                &layer_key(n, "density_g_per_cm3"),
-                "(missing)",
-                format!("the program knows no density of amorphous {text}; give it"),
-            );
-        }
-    };
-    within(&layer_key(n, "density_g_per_cm3"), density, 0.05, 25.0)?;
-    let numbers: Vec<u8> = formula.keys().copied().collect();
-    let mut distances = BTreeMap::new();
-    for (k, a) in numbers.iter().enumerate() {
-        for b in &numbers[k..] {
-            let distance = least_distance(n, layer, known.map(|(.., list)| *list), [*a, *b])?;
-            distances.insert((*a, *b), distance);
-        }
-    }
-    for pair in layer.least_distance_angstrom.keys() {
-        let names = |a: &u8, b: &u8| [elements::symbol(*a), elements::symbol(*b)];
-        let fits = |(a, b): &(u8, u8)| is_pair(pair, names(a, b));
-        if !distances.keys().any(fits) {
-            let known: Vec<String> = distances.keys().map(|(a, b)| names(a, b).join("-")).collect();
-            let key = layer_key(n, "least_distance_angstrom");
-            return fault(&key, pair, format!("pairs of this layer: {}", known.join(", ")));
-        }
-    }
-    let mass: f64 = formula.iter().map(|(z, count)| *count as f64 * atomic_mass(*z)).sum();
-    let units = density / mass * PER_ANGSTROM3;
-    let per_angstrom3 = formula.iter().map(|(z, count)| (*z, *count as f64 * units)).collect();
-    let least = LeastDistances::new(std::iter::empty(), &distances, &numbers);
-    Ok(Packing { per_angstrom3, least })
-}
-
-fn is_pair(text: &str, names: [&str; 2]) -> bool {
-    text.split_once('-').is_some_and(|(a, b)| [a, b] == names || [b, a] == names)
-}
-
-fn least_distance(
-    n: usize,
-    layer: &StackLayer,
-    known: Option<&[(&str, f64)]>,
-    pair: [u8; 2],
-) -> Checked<f64> {
-    let names = pair.map(elements::symbol);
-    let given = layer.least_distance_angstrom.iter().find(|(text, _)| is_pair(text, names));
-    let key = layer_key(n, "least_distance_angstrom");
-    if let Some((_, distance)) = given {
-        within(&key, *distance, 0.5, 6.0)?;
-        return Ok(*distance);
-    }
-    let known = known.into_iter().flatten().find(|(text, _)| is_pair(text, names));
-    match known {
-        Some((_, distance)) => Ok(*distance),
-        None => {
-            let expected = format!(
-                "the program knows no least distance of {}; give it in Angstrom",
-                names.join("-")
-            );
-            fault(&key, "(incomplete)", expected)
-        }
-    }
-}
-
 /// Collects the elements of a stack, and the least distances in its amorphous layers.
 fn elements_and_distances<'c>(
     boxes: impl Iterator<Item = &'c Structure>,
@@ -490,88 +417,6 @@ fn elements_and_distances<'c>(
     numbers.sort_unstable();
     numbers.dedup();
     (numbers, given)
-}
-
-fn check_roughness(table: &StackTable, field: &Field) -> Checked {
-    let [start, end] = extent(table, field);
-    let thicknesses: Vec<f64> = table
-        .layers
-        .iter()
-        .map(|layer| layer.thickness_nm.unwrap_or(0.1 * (end - start)))
-        .collect();
-    let mut points = 0.0;
-    for (n, layer) in table.layers.iter().enumerate() {
-        let Some(rms) = layer.roughness_nm else {
-            if layer.roughness_correlation_nm.is_some() {
-                let key = layer_key(n, "roughness_correlation_nm");
-                return fault(&key, "(alone)", "expected roughness_nm beside it");
-            }
-            continue;
-        };
-        let most = 0.25 * thicknesses[n].min(thicknesses[n - 1]);
-        within(&layer_key(n, "roughness_nm"), rms, 0.0, most)?;
-        let length = layer.roughness_correlation_nm.unwrap_or(DEFAULT_CORRELATION_NM);
-        within(&layer_key(n, "roughness_correlation_nm"), length, 0.5, 1000.0)?;
-        let beyond = 2.0 * (BEYOND_FIELD_NM + 1.0);
-        let sizes = [field.fov_nm[1] + beyond, field.fov_nm[0] + beyond, field.thickness_nm];
-        let area: f64 = table.along.in_plane().iter().map(|k| sizes[*k]).product();
-        points += 36.0 * area / (length * length);
-        if points > MOST_INTERFACE_POINTS {
-            let expected = "the rough interfaces have too many points; expected a longer correlation, or a smaller field";
-            return fault(&layer_key(n, "roughness_correlation_nm"), length, expected);
-        }
-    }
-    Ok(())
-}
-
-fn check_exchange(table: &StackTable, layers: &[StackedLayer]) -> Checked {
-    let symbols = |n: usize| -> Option<Vec<&str>> {
-        let StackedMatter::Crystal(crystal) = &layers[n].matter else { return None };
-        let mut all: Vec<&str> =
-            crystal.structure.atoms.iter().map(|atom| elements::symbol(atom.number)).collect();
-        all.sort_unstable();
-        all.dedup();
-        Some(all)
-    };
-    for (n, layer) in table.layers.iter().enumerate() {
-        let (key, exchange) = (layer_key(n, "exchange"), &layer.exchange);
-        let width = layer.interdiffusion_nm.unwrap_or(0.0);
-        within(&layer_key(n, "interdiffusion_nm"), width, 0.0, 20.0)?;
-        if width == 0.0 && exchange.is_empty() {
-            continue;
-        }
-        if width == 0.0 || exchange.is_empty() {
-            let expected = "expected interdiffusion_nm above 0 and exchange = { Sr = \"La\" } together, or neither";
-            return fault(&key, "(alone)", expected);
-        }
-        let sides = if n == 0 { None } else { symbols(n - 1).zip(symbols(n)) };
-        let Some((below, above)) = sides else {
-            return fault(
-                &key,
-                "(given)",
-                "only two crystals that lie on each other exchange elements; leave it out",
-            );
-        };
-        let mut taken = Vec::new();
-        for (from, to) in exchange {
-            if !below.contains(&from.as_str()) {
-                return fault(
-                    &key,
-                    from,
-                    format!("expected an element of the layer before: {}", below.join(", ")),
-                );
-            }
-            if !above.contains(&to.as_str()) || from == to || taken.contains(&to) {
-                let expected = format!(
-                    "expected for each element another element of this layer, each once: {}",
-                    above.join(", ")
-                );
-                return fault(&key, format!("{from} = {to:?}"), expected);
-            }
-            taken.push(to);
-        }
-    }
-    Ok(())
 }
 
 /// Refuses specimens that do not fit into memory, before they are made.
