@@ -14,12 +14,15 @@ use crate::structure::elements;
 /// Atoms in a cubic Angstrom for 1 g/cm3 and one atomic mass unit.
 const PER_ANGSTROM3: f64 = 0.602_214_076;
 
+/// Formula, density in g/cm3, and least distances of pairs of elements in Angstrom.
+type KnownGlass = (&'static str, f64, &'static [(&'static str, f64)]);
+
 /// Known amorphous matter: formula, density in g/cm3, and least distances in Angstrom.
 ///
 /// SiO2: density 2.20 g/cm3; Si-O 1.62, O-O 2.65, Si-Si 3.12 A (R. L. Mozzi and B. E. Warren, J. Appl. Cryst. 2 (1969) 164). Si: 2.285
 /// g/cm3 (J. S. Custer et al., Appl. Phys. Lett. 64 (1994) 437), 2.35 A. C: 2.0 g/cm3, 1.3 A, as the films of this program. The least
 /// distances are about 0.92 times the mean distances.
-const GLASSES: [(&str, f64, &[(&str, f64)]); 3] = [
+const GLASSES: [KnownGlass; 3] = [
     ("SiO2", 2.20, &[("Si-O", 1.5), ("O-O", 2.35), ("Si-Si", 2.8)]),
     ("Si", 2.285, &[("Si-Si", 2.15)]),
     ("C", 2.0, &[("C-C", 1.3)]),

@@ -159,8 +159,8 @@ impl RecipeText {
             return self.line_of(last);
         };
         let lines = || self.text.lines().enumerate();
-        let found = lines().filter(|(_, line)| line.starts_with(&header));
-        let Some((start, _)) = found.skip(number.max(1) - 1).next() else {
+        let mut found = lines().filter(|(_, line)| line.starts_with(&header));
+        let Some((start, _)) = found.nth(number.max(1) - 1) else {
             return self.line_of(last);
         };
         let table = lines().skip(start + 1).take_while(|(_, line)| !line.starts_with('['));

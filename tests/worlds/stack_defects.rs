@@ -170,23 +170,42 @@ fn atoms_about_an_edge_dislocation_lie_where_hirth_and_lothe_put_them() {
     assert!(nearest >= 0.75 * 1.9525 - 1e-9, "{nearest}");
 }
 
-/// One half plane more on one side of the slip plane than on the other: the Burgers circuit of counted columns.
+/// A circuit of steps from one Sr column to the next, as many to the left as to the right and as many down as up, ends beside its beginning
+/// if it goes around the line, and at its beginning if not.
 #[test]
-fn the_burgers_circuit_counts_one_column_more() {
-    let recipe = with_edge("[100]");
-    let specimen = stemgen::specimen::specimen(&recipe).unwrap();
-    let [_, cy] = specimen.facts().stack.as_ref().unwrap().dislocations[0].position_nm;
-    let around = recipe.field.full_region().grown(8.0);
-    let row = |y: f64| {
-        let here = |s: &&SpecimenSite| {
-            s.number == 38 && (s.position_nm[1] - y).abs() < 0.19 && s.position_nm[2] < 0.1
+fn the_burgers_circuit_fails_to_close_by_one_lattice_vector() {
+    for (burgers, axis) in [("[100]", 0), ("[0-10]", 1)] {
+        let recipe = with_edge(burgers);
+        let specimen = stemgen::specimen::specimen(&recipe).unwrap();
+        let truth = specimen.facts().stack.clone().unwrap().dislocations[0].clone();
+        let columns: Vec<[f64; 2]> = sites(&recipe)
+            .iter()
+            .filter(|s| s.number == 38 && s.position_nm[2] < 0.1)
+            .map(|s| [s.position_nm[0], s.position_nm[1]])
+            .collect();
+        let nearest = |at: [f64; 2]| {
+            let off = |p: &[f64; 2]| (p[0] - at[0]).hypot(p[1] - at[1]);
+            *columns.iter().min_by(|a, b| off(a).total_cmp(&off(b))).unwrap()
         };
-        specimen.sites(&around).iter().filter(here).count() as i64
-    };
-    // Rows of the same length far above and below the line, in columns of Sr.
-    let (above, below) = (row(cy + 3.0), row(cy - 3.0));
-    let width = ((around.x[1] - around.x[0]) / 0.3905) as i64;
-    assert!((above - below).abs() == 1 && (above - width).abs() <= 2, "{above} {below} {width}");
+        let circuit = |centre: [f64; 2]| {
+            let start = nearest([centre[0] - 1.6, centre[1] - 1.6]);
+            let mut at = start;
+            for [dx, dy] in [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]] {
+                for _ in 0..8 {
+                    at = nearest([at[0] + 0.3905 * dx, at[1] + 0.3905 * dy]);
+                }
+            }
+            [at[0] - start[0], at[1] - start[1]]
+        };
+        // The lattice steps add to 0, so the gap is the displacement gained on the way from x to y.
+        let gap = circuit(truth.position_nm);
+        let expected = [0, 1].map(|k| truth.burgers_nm[k]);
+        assert!((gap[0] - expected[0]).hypot(gap[1] - expected[1]) < 0.05, "{burgers}: {gap:?}");
+        assert!((expected[axis].abs() - 0.3905).abs() < 1e-9);
+        let [x, y] = truth.position_nm;
+        let away = circuit([x + 4.0, y + 4.0]);
+        assert!(away[0].hypot(away[1]) < 1e-9, "{away:?}");
+    }
 }
 
 #[test]

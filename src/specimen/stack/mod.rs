@@ -24,7 +24,7 @@ use crate::structure::lattice::Vec3;
 const NM: f64 = 0.1;
 
 /// The box of a specimen and of the atoms around the field: ranges along x, y and z in Angstrom.
-pub(self) type Extent = [[f64; 2]; 3];
+type Extent = [[f64; 2]; 3];
 
 /// Lays out the stack of a recipe.
 ///
@@ -79,7 +79,7 @@ fn displace(sites: &mut [MadeSite], dislocations: &[EdgeDislocation]) {
 }
 
 /// Returns where the dislocations move an undisturbed place, in Angstrom.
-pub(self) fn displaced(dislocations: &[EdgeDislocation], at: [f64; 2]) -> [f64; 2] {
+fn displaced(dislocations: &[EdgeDislocation], at: [f64; 2]) -> [f64; 2] {
     dislocations.iter().fold(at, |moved, dislocation| {
         let [u, v] = dislocation.displacement(at);
         [moved[0] + u, moved[1] + v]
