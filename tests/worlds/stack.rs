@@ -392,7 +392,7 @@ fn what_does_not_fit_is_refused_with_the_rule_and_the_choices() {
     }
     // The line is the one of the table at fault, not the first with this key.
     let message = error(&JOINED.replace("poisson_ratio = 0.25", "poisson_ratio = 0.6"), OXIDES);
-    assert!(message.contains("test.toml:20:"), "{message}");
+    assert!(message.contains("test.toml:19:"), "{message}");
     let glass = "[[stack.layers]]\namorphous = \"GeO2\"\n";
     assert!(error(glass, &["Ge", "O"]).contains("no density of amorphous GeO2"));
     let glass = format!("{glass}density_g_per_cm3 = 3.66\n");
