@@ -14,8 +14,10 @@ const MOVED_ANGSTROM: f64 = 6.5;
 const ACROSS_ANGSTROM: f64 = 9.0;
 /// Pairs nearer than the first number times the shortest distance of their elements overlap; pairs up to the second are bonds.
 const BOND: [f64; 2] = [0.85, 1.15];
-/// Places with at least this share of the most bonds are equally good.
-const AS_GOOD: f64 = 0.8;
+/// Atoms nearer to the plane than this, in Angstrom, are those whose bonds are counted.
+const ABOUT_ANGSTROM: f64 = 3.5;
+/// Places with at least this share of the most bonds for an atom are equally good.
+const AS_GOOD: f64 = 0.97;
 
 /// What a plane does with the crystal on its positive side.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,7 +66,7 @@ pub fn part_of(planes: &[FaultPlane], at: Vec3) -> usize {
 }
 
 /// Places the planes, sorted by their distance, at planes of atoms or midway between two: each moves by at most 6.5 A to the nearest place
-/// at which no atoms overlap and most bonds cross the plane. So the mirror plane of an fcc twin is a plane of atoms, and of a twin of
+/// at which no atoms overlap and the atoms about it keep most bonds. So the mirror plane of an fcc twin is a plane of atoms, and of a twin of
 /// diamond structure it cuts the bonds along its normal. The crystal lies in a box whose origin is at `origin`; `near` is a point about
 /// which places are compared.
 pub fn placed(
@@ -97,7 +99,7 @@ fn best_place(
     let off = dot(near, plane.normal) - plane.distance;
     let centre: Vec3 = std::array::from_fn(|k| near[k] - off * plane.normal[k]);
     let shift = if let FaultAction::Shift(by) = plane.action { norm(by) } else { 0.0 };
-    let radius = MOVED_ANGSTROM + ACROSS_ANGSTROM + 2.0 * PAIR_CUTOFF_ANGSTROM + shift;
+    let radius = MOVED_ANGSTROM + ACROSS_ANGSTROM + 3.0 * PAIR_CUTOFF_ANGSTROM + shift;
     let atoms = cluster(crystal, origin, before, centre, radius);
     let mut offsets: Vec<f64> = atoms.iter().map(|(at, _)| dot(*at, plane.normal)).collect();
     offsets.sort_by(f64::total_cmp);
@@ -108,17 +110,17 @@ fn best_place(
     places.sort_by(|a, b| {
         (a - plane.distance).abs().total_cmp(&(b - plane.distance).abs()).then(a.total_cmp(b))
     });
-    let scored: Vec<(FaultPlane, [usize; 2])> = places
+    let scored: Vec<(FaultPlane, (usize, f64))> = places
         .into_iter()
         .map(|distance| {
             let moved = FaultPlane { distance, ..*plane };
-            (moved, pairs_across(&atoms, centre, &moved, shortest))
+            (moved, bonds_about(&atoms, centre, &moved, shortest))
         })
         .collect();
-    let fewest = scored.iter().map(|(_, [overlaps, _])| *overlaps).min().unwrap_or(0);
-    let free = || scored.iter().filter(|(_, [overlaps, _])| *overlaps == fewest);
-    let most = free().map(|(_, [_, bonds])| *bonds).max().unwrap_or(0) as f64;
-    free().find(|(_, [_, bonds])| *bonds as f64 >= AS_GOOD * most).map_or(*plane, |(p, _)| *p)
+    let fewest = scored.iter().map(|(_, (overlaps, _))| *overlaps).min().unwrap_or(0);
+    let free = || scored.iter().filter(|(_, (overlaps, _))| *overlaps == fewest);
+    let most = free().map(|(_, (_, bonds))| *bonds).fold(0.0, f64::max);
+    free().find(|(_, (_, bonds))| *bonds >= AS_GOOD * most).map_or(*plane, |(place, _)| *place)
 }
 
 /// Returns the atoms of a mapped crystal within a radius of a place.
@@ -152,42 +154,41 @@ fn cluster(
     atoms
 }
 
-/// Counts the pairs of atoms across a plane that overlap, and those that are bonds.
-fn pairs_across(
+/// Returns the number of pairs of atoms across a plane that overlap, and the mean number of bonds of the atoms about the plane.
+fn bonds_about(
     atoms: &[NearAtom],
     centre: Vec3,
     plane: &FaultPlane,
     shortest: &BTreeMap<(u8, u8), f64>,
-) -> [usize; 2] {
+) -> (usize, f64) {
     let height = |at: Vec3| dot(at, plane.normal) - plane.distance;
     let across = |at: Vec3| {
         let from = subtract(at, centre);
         (dot(from, from) - dot(from, plane.normal).powi(2)).max(0.0).sqrt()
     };
-    let within = |at: Vec3, reach: f64, side: f64| {
-        (0.0..PAIR_CUTOFF_ANGSTROM).contains(&(side * height(at))) && across(at) < reach
+    let near = |at: Vec3| {
+        height(at).abs() < 2.0 * PAIR_CUTOFF_ANGSTROM
+            && across(at) < ACROSS_ANGSTROM + PAIR_CUTOFF_ANGSTROM
     };
     let map = plane.map();
-    let beyond: Vec<NearAtom> = atoms
-        .iter()
-        .map(|(at, z)| (map.apply(*at), *z))
-        .filter(|(at, _)| height(*at) > ON_PLANE_ANGSTROM)
-        .filter(|(at, _)| within(*at, ACROSS_ANGSTROM + PAIR_CUTOFF_ANGSTROM, 1.0))
-        .collect();
-    let (mut overlaps, mut bonds) = (0, 0);
-    let before = atoms.iter().filter(|(at, _)| {
-        within(*at, ACROSS_ANGSTROM, -1.0)
-            || height(*at).abs() <= ON_PLANE_ANGSTROM && across(*at) < ACROSS_ANGSTROM
-    });
-    for (at, a) in before {
-        for (other, b) in &beyond {
+    let before = atoms.iter().copied().filter(|(at, _)| height(*at) <= ON_PLANE_ANGSTROM);
+    let moved = atoms.iter().map(|(at, z)| (map.apply(*at), *z));
+    let beyond = moved.filter(|(at, _)| height(*at) > ON_PLANE_ANGSTROM);
+    let local: Vec<NearAtom> = before.chain(beyond).filter(|(at, _)| near(*at)).collect();
+    let (mut overlaps, mut bonds, mut count) = (0, 0, 0);
+    for (n, (at, a)) in local.iter().enumerate() {
+        if height(*at).abs() > ABOUT_ANGSTROM || across(*at) > ACROSS_ANGSTROM {
+            continue;
+        }
+        count += 1;
+        for (other, b) in local.iter().enumerate().filter(|(m, _)| *m != n).map(|(_, atom)| atom) {
             let Some(known) = shortest.get(&((*a).min(*b), (*a).max(*b))) else { continue };
             let ratio = norm(subtract(*at, *other)) / known;
             overlaps += usize::from(ratio < BOND[0]);
             bonds += usize::from((BOND[0]..=BOND[1]).contains(&ratio));
         }
     }
-    [overlaps, bonds]
+    (overlaps, f64::from(bonds as u32) / f64::from(count.max(1)))
 }
 
 #[cfg(test)]
