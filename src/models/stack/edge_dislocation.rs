@@ -21,8 +21,8 @@ impl EdgeDislocation {
     /// (J. P. Hirth and J. Lothe, Theory of Dislocations, 2nd ed., Wiley 1982, equations 3-45 and 3-46). It is 0 on the line itself.
     ///
     /// The jump by one Burgers vector lies on the slip plane: a crystal that has the Burgers vector as a lattice vector is whole there, and
-    /// no half plane has to be cut out. Within about two Burgers vectors of the line linear elasticity does not hold, and the places of
-    /// the atoms there are those of the formula, not of a relaxed core.
+    /// no half plane has to be cut out. Within about two Burgers vectors of the line linear elasticity does not hold: the atoms there
+    /// lie where the formula puts them, not where a relaxed core has them.
     pub fn displacement(&self, at: [f64; 2]) -> [f64; 2] {
         let length = (self.burgers[0].powi(2) + self.burgers[1].powi(2)).sqrt();
         // The arc tangent jumps on the negative x axis.

@@ -14,7 +14,7 @@ const MOVED_ANGSTROM: f64 = 6.5;
 const ACROSS_ANGSTROM: f64 = 9.0;
 /// Pairs nearer than the first number times the shortest distance of their elements overlap; pairs up to the second are bonds.
 const BOND: [f64; 2] = [0.85, 1.15];
-/// Atoms nearer to the plane than this, in Angstrom, are those whose bonds are counted.
+/// Atoms nearer to the plane than this, in Angstrom, have their bonds counted.
 const ABOUT_ANGSTROM: f64 = 3.5;
 /// Places with at least this share of the most bonds for an atom are equally good.
 const AS_GOOD: f64 = 0.97;
