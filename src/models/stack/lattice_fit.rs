@@ -40,7 +40,7 @@ pub fn coincident(own: f64, reference: f64, most: f64) -> Option<CellMatch> {
     found.into_iter().find(|found| found.strain.abs() <= most)
 }
 
-/// Returns the match with the least strain among those of at most [`MOST_CELLS`] cells of either crystal.
+/// Returns the match of at most [`MOST_CELLS`] cells of either crystal with the least strain.
 pub fn closest(own: f64, reference: f64) -> CellMatch {
     least(coprime_pairs(), [own, reference])
 }
