@@ -26,6 +26,10 @@ pub enum Purpose {
     Carbon = 16,
     /// Places, sizes and orientations of nanoparticles.
     Particle = 17,
+    /// Atoms of the amorphous layers of a stack.
+    Amorphous = 18,
+    /// Atoms that like sites on both sides of an interface exchange.
+    Interdiffusion = 19,
     /// Contents of the pool of units.
     Pool = 32,
     /// Phonons of library cells, and the choice of cells for the units of a world.

@@ -243,7 +243,7 @@ impl WorldReader {
         Ok(out.unbind())
     }
 
-    /// Returns the boundaries of grains and phases: the parts that each separates, as text, and its corners (x, y) in nm.
+    /// Returns the boundaries of grains and phases, and planar faults: the parts that each separates, as text, and its corners (x, y) in nm.
     fn boundaries(&self, py: Python<'_>) -> PyResult<Vec<(String, Py<PyArray2<f32>>)>> {
         let lines = self.with(py, |world| Ok(world.boundary_lines()?))?;
         let array = |points: Vec<[f32; 2]>| ndarray::arr2(&points).into_pyarray(py).unbind();

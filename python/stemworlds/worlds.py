@@ -289,7 +289,7 @@ class World:
 
     @property
     def boundaries(self) -> list[tuple[str, npt.NDArray[np.float32]]]:
-        """Boundaries of grains and phases: the parts that each separates, as text, and its corners ``[point, (x, y)]`` in nm."""
+        """Boundaries of grains and phases, and planar faults: what each separates or its kind, as text, and its corners ``[point, (x, y)]`` in nm."""
         return reading(self._reader.boundaries)()
 
     @property

@@ -49,6 +49,8 @@ pub mod recording_file;
 #[cfg(feature = "hdf5")]
 pub mod schema;
 #[cfg(feature = "hdf5")]
+mod stack_truth;
+#[cfg(feature = "hdf5")]
 mod stored_images;
 #[cfg(feature = "report")]
 pub mod tiff_file;
@@ -76,6 +78,8 @@ pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 use hdf5_errors::At;
 #[cfg(feature = "hdf5")]
 pub use hdf5_look::read_through;
+#[cfg(feature = "hdf5")]
+pub use stack_truth::{DislocationRow, LayerRow};
 #[cfg(feature = "hdf5")]
 pub use stored_images::{ImageKind, StoredImage, StoredImages};
 #[cfg(feature = "hdf5")]

@@ -24,6 +24,14 @@ pub const VALID_REGION: &str = "valid_region";
 pub const GRAIN_BOUNDARIES: &str = "grain_boundaries";
 /// Group of polylines between phases below the ground truth.
 pub const PHASE_BOUNDARIES: &str = "phase_boundaries";
+/// Group of polylines of planar faults below the ground truth; only if there are some.
+pub const FAULT_LINES: &str = "fault_lines";
+/// Group of dislocations below the ground truth; only in stacks.
+pub const DISLOCATIONS: &str = "dislocations";
+/// Group of layers below the ground truth; only in stacks.
+pub const LAYERS: &str = "layers";
+/// Distance of each column from the nearest interface, in the group of columns; only in stacks with interfaces along the beam.
+pub const INTERFACE_DISTANCE: &str = "interface_distance";
 /// Phase of every pixel, below the ground truth; only if there is more than one phase.
 pub const PHASE_MAP: &str = "phase_map";
 /// Group of particles below the ground truth; only if there are particles.

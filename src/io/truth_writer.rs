@@ -25,6 +25,15 @@ pub enum LineKind<'a> {
     Grains(f64, Option<u32>),
     /// Two phases: names left and right of it, and the width of the transition in nm.
     Phases([&'a str; 2], f64),
+    /// A crystal before and beyond a planar fault.
+    Fault {
+        /// `twin`, `stacking_fault` or `antiphase`.
+        kind: &'a str,
+        /// Unit normal (x, y); the crystal on this side is mirrored or shifted.
+        normal: [f64; 2],
+        /// Shift (x, y, z) in nm.
+        shift_nm: [f64; 3],
+    },
 }
 
 /// Particles, entry by entry.
@@ -67,10 +76,10 @@ pub struct TruthBatch {
 
 /// The ground truth of a file that is being written.
 pub struct TruthWriter {
-    path: PathBuf,
+    pub(super) path: PathBuf,
     /// Shape [rows, columns] of the image, and of the chunks of datasets with that shape.
     shape: [[usize; 2]; 2],
-    group: Group,
+    pub(super) group: Group,
     site_pairs: Dataset,
     z: Dataset,
     types: Dataset,
@@ -251,11 +260,15 @@ impl TruthWriter {
     /// # Errors
     /// [`crate::Error::Hdf5`].
     pub fn boundary(&self, line: &[[f32; 2]], kind: LineKind) -> Result<()> {
-        let group = match kind {
-            LineKind::Grains(..) => &self.grain_boundaries,
-            LineKind::Phases(..) => &self.phase_boundaries,
-        };
         let write = || {
+            let group = match kind {
+                LineKind::Grains(..) => self.grain_boundaries.clone(),
+                LineKind::Phases(..) => self.phase_boundaries.clone(),
+                LineKind::Fault { .. } => match self.group.link_exists(schema::FAULT_LINES) {
+                    true => self.group.group(schema::FAULT_LINES)?,
+                    false => hdf5_create::group(&self.group, schema::FAULT_LINES)?,
+                },
+            };
             let view = rows(line)?;
             let builder = group.new_dataset_builder().with_data(view);
             let dataset = builder.create(group.len().to_string().as_str())?;
@@ -269,6 +282,11 @@ impl TruthWriter {
                     text(&dataset, "left", left)?;
                     text(&dataset, "right", right)?;
                     number(&dataset, "sharpness_sigma_nm", sigma_nm)
+                }
+                LineKind::Fault { kind, normal, shift_nm } => {
+                    text(&dataset, "kind", kind)?;
+                    dataset.new_attr_builder().with_data(&normal).create("normal")?;
+                    dataset.new_attr_builder().with_data(&shift_nm).create("shift_nm").map(drop)
                 }
             }
         };
@@ -355,11 +373,15 @@ fn position_list(group: &Group, name: &str) -> hdf5::Result<Dataset> {
     Ok(dataset)
 }
 
-fn growing<T: H5Type>(group: &Group, name: &str, shape: &Extents) -> hdf5::Result<Dataset> {
+pub(super) fn growing<T: H5Type>(
+    group: &Group,
+    name: &str,
+    shape: &Extents,
+) -> hdf5::Result<Dataset> {
     compressed::<T>(group, name, shape.clone(), &[TRUTH_CHUNK])
 }
 
-fn append<T: H5Type>(dataset: &Dataset, values: &[T]) -> hdf5::Result<()> {
+pub(super) fn append<T: H5Type>(dataset: &Dataset, values: &[T]) -> hdf5::Result<()> {
     let start = dataset.shape().first().copied().unwrap_or(0);
     if values.is_empty() {
         return Ok(());

@@ -169,6 +169,7 @@ impl WorldFile {
     pub fn boundary_lines(&self) -> Result<Vec<BoundaryLine>> {
         let mut lines = self.lines(schema::GRAIN_BOUNDARIES)?;
         lines.extend(self.lines(schema::PHASE_BOUNDARIES)?);
+        lines.extend(self.lines(schema::FAULT_LINES)?);
         Ok(lines)
     }
 
@@ -262,15 +263,15 @@ impl WorldFile {
     }
 
     /// Reads the values of a list of any shape.
-    fn list<T: Plain>(&self, dataset: &Dataset, name: &str) -> Result<Vec<T>> {
+    pub(super) fn list<T: Plain>(&self, dataset: &Dataset, name: &str) -> Result<Vec<T>> {
         Ok(self.all::<T, IxDyn>(dataset, name)?.into_iter().collect())
     }
 
-    fn truth_group(&self, name: &str) -> Option<Group> {
+    pub(super) fn truth_group(&self, name: &str) -> Option<Group> {
         self.file.group(&format!("{}/{name}", schema::TRUTH)).ok()
     }
 
-    fn lines(&self, group: &str) -> Result<Vec<BoundaryLine>> {
+    pub(super) fn lines(&self, group: &str) -> Result<Vec<BoundaryLine>> {
         let Some(lines) = self.truth_group(group) else { return Ok(Vec::new()) };
         let read = |n: u64| {
             let name = format!("{group}/{n}");
@@ -294,6 +295,9 @@ fn describe(line: &Dataset) -> String {
     let number = |name: &str| number::<f64>(line, name);
     if let (Some(left), Some(right)) = (text(line, "left"), text(line, "right")) {
         return format!("phase boundary, {left} | {right}");
+    }
+    if let Some(kind) = text(line, "kind") {
+        return kind.replace('_', " ");
     }
     let turn = number("misorientation_deg").map_or(String::new(), |t| format!(", {t:.2}\u{b0}"));
     let sigma = number("sigma").map_or(String::new(), |s| format!(", \u{3a3}{s}"));

@@ -10,6 +10,7 @@ use super::fault::Fault;
 use super::oriented_crystals::OrientedCrystals;
 use super::origin::RecipeText;
 use super::resolved_recipe::Recipe;
+use super::stacked_crystals::StackedCrystals;
 use crate::error::{Error, Result};
 use crate::models::particles::Metal;
 use crate::structure::columns::ColumnCrystal;
@@ -128,6 +129,17 @@ impl CheckedRecipe {
         }
     }
 
+    /// Returns the layers of a stack, in their places.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for other specimens.
+    pub fn stack(&self) -> Result<&Arc<StackedCrystals>> {
+        match &*self.0.crystals {
+            OrientedCrystals::Stack(stack) => Ok(stack),
+            _ => Err(self.lacks("layers")),
+        }
+    }
+
     /// Returns warnings about the files of crystals and atoms, as sentences for the user.
     ///
     /// # Errors
@@ -188,7 +200,7 @@ impl Recipe {
         }
         match self.origin.text.as_ref().filter(|_| changes.is_empty()) {
             Some(text) if self.value(&key) == text.recipe().and_then(|r| r.value(&key)) => {
-                let line = text.line_of(key.rsplit('.').next().unwrap_or_default());
+                let line = text.line_of_key(&key);
                 Error::parse(&text.path, line, format!("{assignment}: {expected}"))
             }
             _ => Error::invalid(crate::Setting::Recipe, assignment, expected),

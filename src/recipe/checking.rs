@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use super::checking_atoms::check_atoms;
 use super::checking_defects::check_defects;
 use super::checking_particles::check_particles;
+use super::checking_stack::check_stack;
 use super::detector_tables::check_detectors;
 use super::fault::{Checked, check_guest, crystal_fault, fault, needed, one_of, within};
 use super::limits::{BEYOND_FIELD_NM, MOST_CELLS_ACROSS, MOST_CELLS_ALONG_BEAM};
@@ -103,7 +104,7 @@ fn check_field(field: &Field) -> Checked {
 
 /// Refuses tables that the specimen builder does not read: they would have no effect, without notice.
 fn check_tables(recipe: &Recipe) -> Checked {
-    use StructureKind::{Atoms, Domains, Epitaxy, Grains, Particles};
+    use StructureKind::{Atoms, Domains, Epitaxy, Grains, Particles, Stack};
     let tables = [
         ("boundaries", recipe.boundaries.is_some(), &[Grains][..]),
         ("domains", recipe.domains.is_some(), &[Domains]),
@@ -111,6 +112,7 @@ fn check_tables(recipe: &Recipe) -> Checked {
         ("wells", recipe.wells.is_some(), &[Epitaxy]),
         ("particles", recipe.particles.is_some(), &[Particles]),
         ("atoms", recipe.atoms.is_some(), &[Atoms]),
+        ("stack", recipe.stack.is_some(), &[Stack]),
         ("vacancies", recipe.vacancies.is_some(), &[Grains, Domains, Epitaxy, Particles]),
         ("substitutions", recipe.substitutions.is_some(), &[Grains, Domains, Epitaxy, Particles]),
         ("defects", !recipe.defects.is_empty(), &[Grains]),
@@ -137,6 +139,9 @@ fn check_specimen(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> {
     if recipe.structure == StructureKind::Atoms {
         return check_atoms(recipe);
     }
+    if recipe.structure == StructureKind::Stack {
+        return check_stack(recipe);
+    }
     let (structure, columns) = check_crystal(recipe)?;
     let mut elements: Vec<u8> = columns.chains().map(|c| c.number).collect();
     elements.sort_unstable();
@@ -145,7 +150,10 @@ fn check_specimen(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> {
     let second = match recipe.structure {
         StructureKind::Domains => Some(second_phase(recipe)?),
         StructureKind::Epitaxy => Some(end_member(recipe, &symbols)?),
-        StructureKind::Grains | StructureKind::Particles | StructureKind::Atoms => None,
+        StructureKind::Grains
+        | StructureKind::Particles
+        | StructureKind::Atoms
+        | StructureKind::Stack => None,
     };
     if let Some(boundaries) = &recipe.boundaries {
         check_boundaries(boundaries, &recipe.field, &structure, &columns)?;

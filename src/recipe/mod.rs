@@ -7,9 +7,13 @@ mod atoms_recipe;
 pub mod atoms_table;
 mod checked;
 mod checking;
+mod checking_amorphous;
 mod checking_atoms;
 mod checking_defects;
+mod checking_extended;
+mod checking_interfaces;
 mod checking_particles;
+mod checking_stack;
 pub mod crystal_source;
 pub mod detector_tables;
 pub mod difficulty;
@@ -23,6 +27,8 @@ mod reading;
 pub mod region;
 pub mod resolved_recipe;
 mod shipped_recipe;
+pub mod stack_table;
+pub mod stacked_crystals;
 pub mod surface_table;
 pub mod tables;
 mod toml_errors;
@@ -39,5 +45,9 @@ pub use overrides::Override;
 pub use region::Region;
 pub use resolved_recipe::Recipe;
 pub use shipped_recipe::{RecipeChange, ShippedRecipe};
+pub use stack_table::{
+    FaultKind, LayerFit, Precipitate, PrecipitateShape, StackDirection, StackDislocation,
+    StackFault, StackLayer, StackTable,
+};
 pub use surface_table::SurfaceTable;
 pub use tables::*;

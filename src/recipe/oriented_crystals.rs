@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use super::crystal_source::CrystalSource;
+use super::stacked_crystals::StackedCrystals;
 use crate::error::{Error, Result};
 use crate::models::particles::Metal;
 use crate::structure::columns::ColumnCrystal;
-use crate::structure::{LabelledAtoms, Structure, direction};
+use crate::structure::{LabelledAtoms, OrientedBox, Structure, direction};
 
 /// The crystals of a recipe, each in the form that its specimen needs.
 #[derive(Debug, Clone)]
@@ -30,6 +31,8 @@ pub enum OrientedCrystals {
     },
     /// The atoms of a file.
     Atoms(Arc<LabelledAtoms>),
+    /// The layers of a stack.
+    Stack(Arc<StackedCrystals>),
 }
 
 /// Orients a crystal so that the beam runs along `zone_axis`.
@@ -41,6 +44,18 @@ pub fn oriented(
     zone_axis: &str,
     y_axis: Option<&str>,
 ) -> Result<Structure> {
+    Ok(oriented_box(crystal, zone_axis, y_axis)?.structure)
+}
+
+/// Orients a crystal like [`oriented`]; also returns its directions along the axes.
+///
+/// # Errors
+/// As [`oriented`].
+pub fn oriented_box(
+    crystal: &CrystalSource,
+    zone_axis: &str,
+    y_axis: Option<&str>,
+) -> Result<OrientedBox> {
     let zone = direction::parse(zone_axis)
         .map_err(|e| Error::invalid(crate::Setting::Zone, zone_axis, e))?;
     let up = match y_axis {
@@ -49,5 +64,5 @@ pub fn oriented(
         }
         None => None,
     };
-    crystal.structure()?.oriented(zone, up)
+    crystal.structure()?.oriented_within(zone, up, None)
 }

@@ -81,9 +81,10 @@ impl RecipeText {
         if let Some(difficulty) = self.difficulty {
             table.insert("tier".into(), difficulty.name().into());
         }
-        if table.get("structure").and_then(toml::Value::as_str) == Some(StructureKind::Atoms.name())
+        let structure = table.get("structure").and_then(toml::Value::as_str);
+        if [StructureKind::Atoms, StructureKind::Stack].iter().any(|k| structure == Some(k.name()))
         {
-            // The atoms of a file have no crystal, and keep their orientation.
+            // The atoms of a file have no crystal, and the layers of a stack have their own.
             for key in ["zone_axis", "crystal"] {
                 table.entry(key).or_insert_with(|| NO_CRYSTAL.into());
             }
@@ -144,6 +145,29 @@ impl RecipeText {
 
     fn unknown_key<'k>(&self, key: &str, known: impl Iterator<Item = &'k str> + Clone) -> Error {
         Error::parse(&self.path, self.line_of(key), unknown_key(key, known))
+    }
+
+    /// Returns the line that mentions the last name of a dotted key. For a key such as `stack.layers[2].fit` the line is searched from the
+    /// second header `[[stack.layers]]` on.
+    pub fn line_of_key(&self, key: &str) -> usize {
+        let (path, last) = key.rsplit_once('.').unwrap_or(("", key));
+        let numbered = |text: &str| -> Option<(String, usize)> {
+            let (name, number) = text.strip_suffix(']')?.split_once('[')?;
+            Some((format!("[[{name}]]"), number.parse().ok()?))
+        };
+        let Some((header, number)) = numbered(path).or_else(|| numbered(key)) else {
+            return self.line_of(last);
+        };
+        let lines = || self.text.lines().enumerate();
+        let mut found = lines().filter(|(_, line)| line.starts_with(&header));
+        let Some((start, _)) = found.nth(number.max(1) - 1) else {
+            return self.line_of(last);
+        };
+        let table = lines().skip(start + 1).take_while(|(_, line)| !line.starts_with('['));
+        let named = table
+            .into_iter()
+            .find(|(_, line)| line.split('=').next().is_some_and(|name| name.trim() == last));
+        1 + named.map_or(start, |(n, _)| n)
     }
 
     /// Returns the line that mentions `key`: a line in the table of the tier if there is one, else the first line. 0 if no line does.

@@ -8,7 +8,7 @@ use super::difficulty::Difficulty;
 use super::origin::{NO_ARRAY, RecipeText, array_for_table};
 use super::overrides::Override;
 use super::resolved_recipe::Recipe;
-use super::tables::StructureKind;
+use super::stack_table::StackTable;
 use super::toml_errors::{explain, nearest};
 use crate::error::{Error, Result};
 use crate::files::whole_file;
@@ -127,7 +127,10 @@ impl Recipe {
     /// # Errors
     /// [`Error::Invalid`] for an unknown crystal, [`Error::Io`].
     pub fn read_crystals(&mut self, folder: &Path) -> Result<()> {
-        if self.structure == StructureKind::Atoms {
+        for crystal in self.stack.iter_mut().flat_map(StackTable::crystals_mut) {
+            crystal.read(folder)?;
+        }
+        if self.structure.lacks_crystal() {
             return Ok(());
         }
         self.crystal.read(folder)?;

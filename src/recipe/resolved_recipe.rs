@@ -8,6 +8,7 @@ use super::detector_tables::DetectorTables;
 use super::difficulty::Difficulty;
 use super::optics_table::OpticsTable;
 use super::origin::RecipeOrigin;
+use super::stack_table::StackTable;
 use super::surface_table::SurfaceTable;
 use super::tables::*;
 use crate::acquisition::AcquisitionTable;
@@ -31,15 +32,15 @@ pub struct Recipe {
     pub source: Option<String>,
     /// Specimen builder of the recipe.
     pub structure: StructureKind,
-    /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`; `none` for particles and for
-    /// the atoms of a file.
+    /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`; `none` for particles, for the
+    /// atoms of a file and for stacks.
     pub zone_axis: String,
     /// Direction along +y, perpendicular to the zone axis; the shortest such direction when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub y_axis: Option<String>,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// The crystal; `none` for the atoms of a file.
+    /// The crystal; `none` for the atoms of a file and for stacks.
     pub crystal: CrystalSource,
     /// Field of view, tiles and thickness.
     pub field: Field,
@@ -61,6 +62,9 @@ pub struct Recipe {
     /// The atoms of a file (`atoms`).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub atoms: Option<AtomsTable>,
+    /// Layers of several crystals (`stack`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stack: Option<StackTable>,
     /// Vacancies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vacancies: Option<Vacancies>,
@@ -93,11 +97,12 @@ pub struct Recipe {
 }
 
 impl Recipe {
-    /// Returns all crystals that the recipe names: the first, and the second phase or end member.
+    /// Returns all crystals that the recipe names: the first, the second phase or end member, and the crystals of a stack.
     pub fn crystals(&self) -> impl Iterator<Item = &CrystalSource> {
         let second = self.domains.as_ref().map(|domains| &domains.crystal);
         let end_member = self.alloy.as_ref().map(|alloy| &alloy.end_member);
-        std::iter::once(&self.crystal).chain(second).chain(end_member)
+        let stack = self.stack.iter().flat_map(StackTable::crystals);
+        std::iter::once(&self.crystal).chain(second).chain(end_member).chain(stack)
     }
 
     /// Returns a recipe of the central `rows` x `columns` tiles, with the same specimen and pixel. If the difference is odd, the part lies

@@ -24,6 +24,8 @@ pub enum StructureKind {
     Particles,
     /// The atoms of a file.
     Atoms,
+    /// Layers of several crystals.
+    Stack,
 }
 
 impl StructureKind {
@@ -35,7 +37,13 @@ impl StructureKind {
             StructureKind::Epitaxy => "epitaxy",
             StructureKind::Particles => "particles",
             StructureKind::Atoms => "atoms",
+            StructureKind::Stack => "stack",
         }
+    }
+
+    /// Whether recipes of this kind name no crystal and no zone axis of their own.
+    pub fn lacks_crystal(self) -> bool {
+        matches!(self, StructureKind::Atoms | StructureKind::Stack)
     }
 }
 

@@ -3,6 +3,7 @@
 use super::atoms_table::AtomsTable;
 use super::detector_tables::{DetectorTable, NamedDetectorTable};
 use super::optics_table::OpticsTable;
+use super::stack_table::{Precipitate, StackDislocation, StackFault, StackLayer, StackTable};
 use super::tables::*;
 
 /// Returns the candidate most similar to `key`, if any is similar.
@@ -71,6 +72,11 @@ fn keys_of(name: &str) -> Vec<String> {
         "Wells" => known::<Wells>(),
         "Particles" => known::<Particles>(),
         "AtomsTable" => known::<AtomsTable>(),
+        "StackTable" => known::<StackTable>(),
+        "StackLayer" => known::<StackLayer>(),
+        "StackFault" => known::<StackFault>(),
+        "StackDislocation" => known::<StackDislocation>(),
+        "Precipitate" => known::<Precipitate>(),
         "Vacancies" => known::<Vacancies>(),
         "Substitutions" => known::<Substitutions>(),
         "PhononTable" => known::<PhononTable>(),

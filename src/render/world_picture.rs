@@ -398,11 +398,16 @@ fn over_grey(color: [u8; 3]) -> [u8; 3] {
 /// # Errors
 /// Errors of the file; [`Error::Invalid`] for a world that has none.
 fn boundaries(world: &WorldFile) -> Result<Vec<Vec<[f32; 2]>>> {
-    let lines = [world.phase_boundaries()?, world.boundaries()?].concat();
+    let lines = all_lines(world)?;
     if lines.is_empty() {
         return Err(none("boundaries", "the world has no boundaries; leave it out"));
     }
     Ok(lines)
+}
+
+/// The lines between phases and grains, and of planar faults.
+fn all_lines(world: &WorldFile) -> Result<Vec<Vec<[f32; 2]>>> {
+    Ok([world.phase_boundaries()?, world.boundaries()?, world.fault_lines()?].concat())
 }
 
 /// The boundaries of a world that has some, or phases.
@@ -410,7 +415,7 @@ fn boundaries(world: &WorldFile) -> Result<Vec<Vec<[f32; 2]>>> {
 /// # Errors
 /// Errors of the file; [`Error::Invalid`] for a world that has none.
 fn boundaries_or_phases(world: &WorldFile) -> Result<Vec<Vec<[f32; 2]>>> {
-    let lines = [world.phase_boundaries()?, world.boundaries()?].concat();
+    let lines = all_lines(world)?;
     if lines.is_empty() && world.phase_map(0..1, 0..1)?.is_none() {
         return Err(none("phases", "the world has no phases and no boundaries; leave it out"));
     }

@@ -9,6 +9,7 @@ use super::own_atoms::OwnAtoms;
 use super::particles::ParticlesOnCarbon;
 use super::relax::Relaxed;
 use super::specimen_trait::Specimen;
+use super::stack::stack;
 use crate::error::Result;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::tables::StructureKind;
@@ -32,6 +33,7 @@ pub fn specimen(recipe: &CheckedRecipe) -> Result<Arc<dyn Specimen>> {
         StructureKind::Epitaxy => Box::new(Epitaxy::new(recipe)?),
         StructureKind::Particles => Box::new(ParticlesOnCarbon::new(recipe)?),
         StructureKind::Atoms => Box::new(OwnAtoms::new(recipe)?),
+        StructureKind::Stack => Box::new(stack(recipe)?),
     };
     Ok(Arc::from(Relaxed::of(rigid, recipe)?))
 }

@@ -23,6 +23,7 @@ pub mod relax;
 pub(crate) mod roughness;
 pub mod sites;
 pub mod specimen_trait;
+pub(crate) mod stack;
 pub mod stripes;
 pub mod surface_layers;
 pub mod units;
@@ -36,7 +37,7 @@ pub(crate) use factory::LAID_OUT;
 pub use factory::specimen;
 pub use sites::{DISPLACED_NM, SiteKind, SpecimenSite};
 pub use specimen_trait::{
-    Boundary, BoundaryKind, ExpectedSites, ParticleOutline, ParticleTruth, Specimen, SpecimenFacts,
-    SpecimenLayout, ThinFilm, outlines_in,
+    Boundary, BoundaryKind, DislocationTruth, ExpectedSites, LayerTruth, ParticleOutline,
+    ParticleTruth, Specimen, SpecimenFacts, SpecimenLayout, StackTruth, ThinFilm, outlines_in,
 };
 pub use surface_layers::{CarbonLayer, SurfaceLayers};

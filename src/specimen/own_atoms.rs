@@ -1,4 +1,4 @@
-//! Specimens from a file of atoms that the user supplies.
+//! Specimens from a file of atoms that the user supplies, and stacks: specimens whose atoms are all held in memory.
 //!
 //! All atoms are held in memory, in the columns that `beam_rows` finds. Without labels in the file no atom is a defect: an arrangement of
 //! atoms alone does not show which atoms are out of place.
@@ -26,7 +26,7 @@ use crate::structure::{LabelledAtom, LabelledAtoms, SiteLabel};
 const MOST_ATOMS: usize = 10_000_000;
 const NM: f64 = 0.1;
 
-/// A specimen made of the atoms of the user's file.
+/// A specimen made of the atoms of the user's file, or of the layers of a stack.
 pub struct OwnAtoms {
     /// All sites, column after column, each column by ascending z.
     sites: Vec<SpecimenSite>,
@@ -39,10 +39,11 @@ pub struct OwnAtoms {
     grid: ColumnGrid,
     extent: Region,
     facts: SpecimenFacts,
+    boundaries: Vec<Boundary>,
 }
 
-/// A site in the field, and the phase that its file gives.
-type PlacedSite = (SpecimenSite, u16);
+/// A site in the field, and its phase.
+pub type PlacedSite = (SpecimenSite, u16);
 
 impl OwnAtoms {
     /// Lays the atoms of the recipe's file into the field.
@@ -59,7 +60,7 @@ impl OwnAtoms {
             ));
         };
         let extent = recipe.field.full_region().grown(BEYOND_FIELD_NM);
-        let sites = placed(atoms, table, recipe)?;
+        let sites = with_keys(placed(atoms, table, recipe)?);
         let built = recipe.field.full_region();
         if !sites.iter().any(|(site, _)| built.contains([site.position_nm[0], site.position_nm[1]]))
         {
@@ -69,11 +70,31 @@ impl OwnAtoms {
         let thickness_nm = recipe.field.thickness_nm;
         let phases = if atoms.groups.len() > 1 { atoms.groups.clone() } else { Vec::new() };
         let facts = SpecimenFacts { thickness_nm, phases, ..SpecimenFacts::default() };
-        Ok(Self::in_columns(sites, extent, facts))
+        Ok(Self::in_columns(sites, extent, facts, Vec::new()))
+    }
+
+    /// Holds the sites of a stack, in any order, with its boundaries.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] if there are too many sites.
+    pub(super) fn of_sites(
+        sites: Vec<PlacedSite>,
+        recipe: &CheckedRecipe,
+        facts: SpecimenFacts,
+        boundaries: Vec<Boundary>,
+    ) -> Result<Self> {
+        check_count(sites.len() as f64)?;
+        let extent = recipe.field.full_region().grown(BEYOND_FIELD_NM);
+        Ok(Self::in_columns(with_keys(sites), extent, facts, boundaries))
     }
 
     /// Finds the columns of sites that are sorted by depth.
-    fn in_columns(sites: Vec<PlacedSite>, extent: Region, facts: SpecimenFacts) -> Self {
+    fn in_columns(
+        sites: Vec<PlacedSite>,
+        extent: Region,
+        facts: SpecimenFacts,
+        boundaries: Vec<Boundary>,
+    ) -> Self {
         let places: Vec<[f64; 3]> = sites.iter().map(|(site, _)| site.position_nm).collect();
         let rows = beam_rows(&places);
         let count = rows.iter().max().map_or(0, |last| *last as usize + 1);
@@ -97,6 +118,7 @@ impl OwnAtoms {
             grid,
             extent,
             facts,
+            boundaries,
         };
         for column in order {
             let row = of_row(kept[column as usize]);
@@ -130,7 +152,17 @@ impl OwnAtoms {
     }
 }
 
-/// Returns the sites in and about the field, sorted by depth, with unique keys.
+/// Sorts sites by depth, and gives them unique keys.
+fn with_keys(mut sites: Vec<PlacedSite>) -> Vec<PlacedSite> {
+    sites.par_sort_by(|(a, _), (b, _)| {
+        let along = |k: usize| a.position_nm[k].total_cmp(&b.position_nm[k]);
+        along(2).then(along(1)).then(along(0)).then(a.number.cmp(&b.number))
+    });
+    sites.iter_mut().enumerate().for_each(|(key, (site, _))| site.key = key as u64);
+    sites
+}
+
+/// Returns the sites in and about the field.
 fn placed(
     atoms: &LabelledAtoms,
     table: &AtomsTable,
@@ -176,13 +208,8 @@ fn placed(
         found.retain(|(site, _)| around.contains([site.position_nm[0], site.position_nm[1]]));
         found
     };
-    let mut sites: Vec<PlacedSite> = atoms.atoms.par_iter().flat_map_iter(images).collect();
+    let sites: Vec<PlacedSite> = atoms.atoms.par_iter().flat_map_iter(images).collect();
     check_count(sites.len() as f64)?;
-    sites.par_sort_by(|(a, _), (b, _)| {
-        let along = |k: usize| a.position_nm[k].total_cmp(&b.position_nm[k]);
-        along(2).then(along(1)).then(along(0)).then(a.number.cmp(&b.number))
-    });
-    sites.iter_mut().enumerate().for_each(|(key, (site, _))| site.key = key as u64);
     Ok(sites)
 }
 
@@ -228,7 +255,7 @@ impl SpecimenLayout for OwnAtoms {
     }
 
     fn boundaries(&self) -> Vec<Boundary> {
-        Vec::new()
+        self.boundaries.clone()
     }
 
     /// Returns the phase of the nearest column.

@@ -264,9 +264,7 @@ fn facts(particles: &[PlacedParticle], face: f64, thickness: f64) -> SpecimenFac
     let sites = particles.iter().map(|p| p.atoms.len() as u64);
     let particles = outlines.iter().map(|p| p.centre_nm).zip(sites).collect();
     SpecimenFacts {
-        clusters_nm: Vec::new(),
         thickness_nm: (face + thickness + VACUUM) * NM,
-        phases: Vec::new(),
         film: Some(ThinFilm {
             number: CARBON,
             depth_nm: [face, face + thickness].map(|z| z * NM),
@@ -275,6 +273,7 @@ fn facts(particles: &[PlacedParticle], face: f64, thickness: f64) -> SpecimenFac
         }),
         particle_outlines: outlines,
         expected_sites: Some(ExpectedSites { per_nm2, particles }),
+        ..SpecimenFacts::default()
     }
 }
 

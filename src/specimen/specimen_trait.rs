@@ -32,6 +32,50 @@ pub enum BoundaryKind {
         /// Standard deviation of the transition in nm (see [`crate::recipe::DomainTable`]): 0 if abrupt.
         sharpness_sigma_nm: f64,
     },
+    /// A planar fault of a crystal, seen edge on.
+    Fault {
+        /// `twin`, `stacking_fault` or `antiphase`.
+        kind: &'static str,
+        /// Unit normal (x, y) of the plane; the crystal on this side is mirrored or shifted.
+        normal: [f64; 2],
+        /// Shift (x, y, z) of the crystal on that side in nm; 0 for a twin.
+        shift_nm: [f64; 3],
+    },
+}
+
+/// A layer of a stack.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LayerTruth {
+    /// Phase, as an index into [`StackTruth::phases`].
+    pub phase: usize,
+    /// Height at which it begins in nm, without roughness.
+    pub begin_nm: f64,
+    /// Height at which it ends in nm; infinite for a layer that continues beyond the field.
+    pub end_nm: f64,
+    /// Strain along x, y and z.
+    pub strain: [f64; 3],
+}
+
+/// An edge dislocation along the beam.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DislocationTruth {
+    /// Place (x, y) of the line in nm of the full field.
+    pub position_nm: [f64; 2],
+    /// Burgers vector (x, y, z) in nm: the displacement gained on a circuit from x to y about the line.
+    pub burgers_nm: [f64; 3],
+}
+
+/// The layers and dislocations of a stack.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StackTruth {
+    /// Axis along which layers follow each other: 0 is x.
+    pub axis: usize,
+    /// Names of the phases.
+    pub phases: Vec<String>,
+    /// The layers, by their heights.
+    pub layers: Vec<LayerTruth>,
+    /// The dislocations.
+    pub dislocations: Vec<DislocationTruth>,
 }
 
 /// A particle, as the ground truth lists it.
@@ -142,6 +186,8 @@ pub struct SpecimenFacts {
     pub particle_outlines: Vec<ParticleOutline>,
     /// Expected number of sites, for specimens that take long to make them.
     pub expected_sites: Option<ExpectedSites>,
+    /// The layers of a stack.
+    pub stack: Option<StackTruth>,
 }
 
 /// The layout of a specimen, which does not change when single atoms do.

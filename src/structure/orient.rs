@@ -32,6 +32,8 @@ pub struct OrientedBox {
     pub structure: Structure,
     /// The largest principal strain by which the cell was made orthogonal: 0.01 is one per cent.
     pub strain: f64,
+    /// The lattice directions of the original cell that became x, y and z.
+    pub axes: [[i64; 3]; 3],
 }
 
 /// Limits for the boxes that are accepted.
@@ -73,7 +75,7 @@ impl Structure {
         let z = reduced(Setting::Zone, zone)?;
         let y = up.map(|up| reduced(Setting::Up, up)).transpose()?;
         if z == [0, 0, 1] && y.is_none_or(|y| y == [0, 1, 0]) && self.orthogonal_box().is_ok() {
-            return Ok(OrientedBox { structure: self.clone(), strain: 0.0 });
+            return Ok(OrientedBox { structure: self.clone(), strain: 0.0, axes: CELL_AXES });
         }
         let limits = match max_strain {
             None => BoxLimits::USUAL,
@@ -93,7 +95,7 @@ impl Structure {
             None => self.find_axes(z, limits)?,
         };
         let strain = self.strain_of(axes);
-        Ok(OrientedBox { structure: self.in_box(axes)?, strain })
+        Ok(OrientedBox { structure: self.in_box(axes)?, strain, axes })
     }
 
     /// Whether the vectors of the cell are axes within the limits, in their order and right-handed.

@@ -166,23 +166,25 @@ pub fn check_columns(world: &WorldFile) -> Result<FoundOrFault> {
     })
 }
 
-/// Checks that lines between grains and phases have places, in the field or not far from it.
+/// Checks that lines between grains and phases, and of planar faults, have places, in the field or not far from it.
 pub fn check_boundaries(world: &WorldFile) -> Result<FoundOrFault> {
     let [height, width] = world.metadata().fov_nm;
     let near = |v: f32, size: f64| (-size..=2.0 * size).contains(&f64::from(v));
     let grains = world.boundaries()?;
     let phases = world.phase_boundaries()?;
-    for (kind, lines) in [("grain", &grains), ("phase", &phases)] {
+    let faults = world.fault_lines()?;
+    let all = [("grain boundary", &grains), ("phase boundary", &phases), ("fault line", &faults)];
+    for (kind, lines) in all {
         for (number, line) in lines.iter().enumerate() {
             let far = line.iter().find(|[x, y]| !(near(*x, width) && near(*y, height)));
             if let Some([x, y]) = far {
                 return Ok(Err(format!(
-                    "{kind} boundary {number} has a point at x {x}, y {y} nm, far from the field"
+                    "{kind} {number} has a point at x {x}, y {y} nm, far from the field"
                 )));
             }
         }
     }
-    Ok(Ok(match grains.len() + phases.len() {
+    Ok(Ok(match grains.len() + phases.len() + faults.len() {
         0 => "none".to_owned(),
         n => format!("{n} lines in and near the field"),
     }))

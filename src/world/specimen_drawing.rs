@@ -82,6 +82,12 @@ impl<'a> Drawing<'a> {
             let centre = [x - corner[0], y - corner[1]];
             self.scene.circle(centre, 0.5 * particle.diameter_nm, palette::LINE);
         }
+        let stack = self.specimen.facts().stack.as_ref();
+        for dislocation in stack.map_or(&[][..], |stack| &stack.dislocations) {
+            let [x, y] = dislocation.position_nm;
+            let [u, v, _] = dislocation.burgers_nm;
+            self.scene.circle([x - corner[0], y - corner[1]], u.hypot(v), palette::LINE);
+        }
         for [x, y] in &self.specimen.facts().clusters_nm {
             let radius = self.recipe.vacancies.as_ref().map_or(0.0, |v| v.cluster_sigma_nm);
             self.scene.circle([x - corner[0], y - corner[1]], radius, palette::LINE);
@@ -124,6 +130,11 @@ impl<'a> Drawing<'a> {
         }
         if !self.specimen.boundaries().is_empty() {
             scene.legend(Swatch::Line(palette::LINE), "boundary");
+        }
+        if let Some(stack) = &self.specimen.facts().stack
+            && !stack.dislocations.is_empty()
+        {
+            scene.legend(Swatch::Ring(palette::LINE), "dislocation");
         }
         match self.specimen.facts().clusters_nm.len() {
             0 => {}

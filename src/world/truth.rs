@@ -5,7 +5,9 @@ use crate::acquisition::{ScanFrame, ScanPath};
 use crate::error::Result;
 use crate::imaging::pixels::PixelRect;
 use crate::io::schema::{CompositionText, DefectName, MorphologyName, atom_type};
-use crate::io::{LineKind, ParticleBatch, TruthBatch, TruthWriter, WorldWriter};
+use crate::io::{
+    DislocationRow, LayerRow, LineKind, ParticleBatch, TruthBatch, TruthWriter, WorldWriter,
+};
 use crate::progress::Progress;
 use crate::recipe::{Field, Region};
 use crate::specimen::stripes::for_each_stripe;
@@ -47,10 +49,16 @@ pub fn write(
     if phases.len() > 1 {
         writer.create_phase_map(phases)?;
     }
+    let interfaces = interfaces_of(specimen);
     let mut counts = Counts::default();
     for_each_stripe(specimen, field, "ground truth", progress, |stripe| {
         let batch = batch(&stripe.sites, origin, &mut counts);
         writer.append(&batch)?;
+        if !interfaces.is_empty() {
+            let distances =
+                batch.column_positions.iter().map(|p| distance(&interfaces, *p, origin));
+            writer.append_interface_distances(&distances.collect::<Vec<_>>())?;
+        }
         if let Some(path) = path {
             let places = batch.column_positions.iter().map(|p| appearance(path, *p));
             writer.append_appearances(&places.collect::<Vec<_>>())?;
@@ -93,7 +101,13 @@ pub fn write_recorded(
     writer: &TruthWriter,
 ) -> Result<()> {
     let ScanFrame { shape, pixel_nm, .. } = recording.frame;
-    writer.append(&batch_of(&recording.sites, &recording.columns))?;
+    let batch = batch_of(&recording.sites, &recording.columns);
+    writer.append(&batch)?;
+    let interfaces = interfaces_of(specimen);
+    if !interfaces.is_empty() {
+        let distances = batch.column_positions.iter().map(|p| distance(&interfaces, *p, origin_nm));
+        writer.append_interface_distances(&distances.collect::<Vec<_>>())?;
+    }
     let places = &recording.position_in_image;
     match recording.options.keep_frames {
         true => writer.appearances_of_frames(places)?,
@@ -126,6 +140,7 @@ fn write_lines_and_particles(
     for boundary in specimen.boundaries() {
         write_boundary(&boundary, phases, region, origin, writer)?;
     }
+    write_stack(specimen, region, origin, writer)?;
     let clusters = &specimen.facts().clusters_nm;
     if !clusters.is_empty() {
         let inside = clusters.iter().filter(|centre| region.contains(**centre));
@@ -133,6 +148,57 @@ fn write_lines_and_particles(
         writer.clusters(&inside.map(place).collect::<Vec<_>>())?;
     }
     write_particles(specimen, region, origin, writer)
+}
+
+/// Returns the interfaces of a stack that are seen edge on; none for other specimens.
+fn interfaces_of(specimen: &dyn Specimen) -> Vec<Vec<[f64; 2]>> {
+    if specimen.facts().stack.is_none() {
+        return Vec::new();
+    }
+    let all = specimen.boundaries().into_iter();
+    all.filter(|b| matches!(b.kind, BoundaryKind::Phase { .. })).map(|b| b.line_nm).collect()
+}
+
+/// Computes the distance of a column at (x, y) in nm from `origin` to the nearest line, in nm.
+fn distance(lines: &[Vec<[f64; 2]>], position_nm: [f32; 2], origin: [f64; 2]) -> f32 {
+    let at = [0, 1].map(|k| f64::from(position_nm[k]) + origin[k]);
+    let segments = lines.iter().flat_map(|line| line.windows(2));
+    let to = |ends: &[[f64; 2]]| {
+        let [a, b] = [ends[0], ends[1]];
+        let along = [b[0] - a[0], b[1] - a[1]];
+        let from = [at[0] - a[0], at[1] - a[1]];
+        let square = along[0] * along[0] + along[1] * along[1];
+        let share =
+            if square > 0.0 { (from[0] * along[0] + from[1] * along[1]) / square } else { 0.0 };
+        let share = share.clamp(0.0, 1.0);
+        (from[0] - share * along[0]).powi(2) + (from[1] - share * along[1]).powi(2)
+    };
+    segments.map(to).fold(f64::INFINITY, f64::min).sqrt() as f32
+}
+
+/// Writes the layers of a stack, and its dislocations in a region.
+fn write_stack(
+    specimen: &dyn Specimen,
+    region: &Region,
+    origin: [f64; 2],
+    writer: &TruthWriter,
+) -> Result<()> {
+    let Some(stack) = &specimen.facts().stack else { return Ok(()) };
+    let offset = [origin[0], origin[1], 0.0][stack.axis];
+    let layer = |layer: &crate::specimen::LayerTruth| {
+        let range = [layer.begin_nm, layer.end_nm].map(|nm| (nm - offset) as f32);
+        LayerRow::new(&stack.phases[layer.phase], range, layer.strain.map(|s| s as f32))
+    };
+    let layers: Vec<LayerRow> = stack.layers.iter().map(layer).collect();
+    writer.layers(&layers, stack.axis)?;
+    let inside = stack.dislocations.iter().filter(|d| region.contains(d.position_nm));
+    let rows: Vec<DislocationRow> = inside
+        .map(|d| {
+            let place = [0, 1].map(|k| (d.position_nm[k] - origin[k]) as f32);
+            DislocationRow::new(place, d.burgers_nm.map(|b| b as f32))
+        })
+        .collect();
+    if rows.is_empty() { Ok(()) } else { writer.dislocations(&rows) }
 }
 
 fn batch(sites: &Sites, origin: [f64; 2], counts: &mut Counts) -> TruthBatch {
@@ -207,6 +273,9 @@ fn write_boundary(
         }
         BoundaryKind::Phase { sides, sharpness_sigma_nm } => {
             LineKind::Phases(sides.map(name), sharpness_sigma_nm)
+        }
+        BoundaryKind::Fault { kind, normal, shift_nm } => {
+            LineKind::Fault { kind, normal, shift_nm }
         }
     };
     for line in boundary_parts(boundary, built) {

@@ -36,5 +36,7 @@ mod skipped;
 mod specimen;
 #[path = "../common/specimens.rs"]
 mod specimens;
+mod stack;
+mod stack_defects;
 mod tiles;
 mod truth;

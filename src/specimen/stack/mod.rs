@@ -1,0 +1,116 @@
+//! Specimens made of several crystals: their sites, interfaces, faults and dislocations.
+//!
+//! The layers are filled in undisturbed places, then the dislocations displace all atoms, and then atoms that overlap are left out. The
+//! sites are held in memory like the atoms of a file.
+
+mod filling;
+mod interfaces;
+mod truth_lines;
+
+use filling::{MadeSite, filled};
+use interfaces::Interfaces;
+
+use super::own_atoms::{OwnAtoms, PlacedSite};
+use super::sites::{DISPLACED_NM, SpecimenSite};
+use super::specimen_trait::{DislocationTruth, LayerTruth, SpecimenFacts, StackTruth};
+use crate::error::{Error, Result};
+use crate::models::stack::edge_dislocation::EdgeDislocation;
+use crate::recipe::limits::BEYOND_FIELD_NM;
+use crate::recipe::stacked_crystals::{StackedCrystals, StackedMatter};
+use crate::recipe::{CheckedRecipe, StackTable};
+use crate::setting::Setting;
+use crate::structure::lattice::Vec3;
+
+const NM: f64 = 0.1;
+
+/// The box of a specimen and of the atoms around the field: ranges along x, y and z in Angstrom.
+type Extent = [[f64; 2]; 3];
+
+/// Lays out the stack of a recipe.
+///
+/// # Errors
+/// [`Error::Invalid`] for recipes without a stack, and for amorphous layers whose atoms find no room.
+pub fn stack(recipe: &CheckedRecipe) -> Result<OwnAtoms> {
+    let crystals = recipe.stack()?;
+    let Some(table) = &recipe.stack else {
+        return Err(Error::invalid(
+            Setting::Recipe,
+            "stack",
+            "(missing): this structure needs the table",
+        ));
+    };
+    let around = recipe.field.full_region().grown(BEYOND_FIELD_NM + 2.0 * DISPLACED_NM);
+    let lab = |[low, high]: [f64; 2]| [low / NM, high / NM];
+    let extent = [lab(around.x), lab(around.y), lab([0.0, recipe.field.thickness_nm])];
+    let interfaces = Interfaces::new(recipe, table, crystals);
+    let reach: f64 = crystals.dislocations.iter().map(|d| d.burgers[0].hypot(d.burgers[1])).sum();
+    let mut wide = extent;
+    wide[..2].iter_mut().for_each(|ends| *ends = [ends[0] - reach, ends[1] + reach]);
+    let mut sites = filled(recipe, table, crystals, &interfaces, wide)?;
+    displace(&mut sites, &crystals.dislocations);
+    sites.retain(|site| {
+        (0..2).all(|k| extent[k][0] <= site.position[k] && site.position[k] < extent[k][1])
+    });
+    let atoms: Vec<(Vec3, u8)> = sites.iter().map(|s| (s.position, s.number)).collect();
+    let kept = crystals.least.kept(&atoms);
+    let placed: Vec<PlacedSite> = sites
+        .into_iter()
+        .zip(kept)
+        .filter(|(_, kept)| *kept)
+        .map(|(site, _)| {
+            let position_nm = site.position.map(|a| NM * a);
+            (SpecimenSite { key: 0, position_nm, number: site.number, kind: site.kind }, site.phase)
+        })
+        .collect();
+    let boundaries = truth_lines::boundaries(table, crystals, &interfaces, extent);
+    OwnAtoms::of_sites(placed, recipe, facts(recipe, table, crystals), boundaries)
+}
+
+fn displace(sites: &mut [MadeSite], dislocations: &[EdgeDislocation]) {
+    use rayon::prelude::*;
+    if dislocations.is_empty() {
+        return;
+    }
+    sites.par_iter_mut().for_each(|site| {
+        let [x, y, z] = site.position;
+        let [x, y] = displaced(dislocations, [x, y]);
+        site.position = [x, y, z];
+    });
+}
+
+/// Returns where the dislocations move an undisturbed place, in Angstrom.
+fn displaced(dislocations: &[EdgeDislocation], at: [f64; 2]) -> [f64; 2] {
+    dislocations.iter().fold(at, |moved, dislocation| {
+        let [u, v] = dislocation.displacement(at);
+        [moved[0] + u, moved[1] + v]
+    })
+}
+
+fn facts(recipe: &CheckedRecipe, table: &StackTable, crystals: &StackedCrystals) -> SpecimenFacts {
+    let names = crystals.phases.clone();
+    let layer = |(n, layer): (usize, &crate::recipe::stacked_crystals::StackedLayer)| LayerTruth {
+        phase: layer.phase,
+        begin_nm: NM * layer.begin,
+        end_nm: NM * crystals.layers.get(n + 1).map_or(crystals.end, |next| next.begin),
+        strain: match &layer.matter {
+            StackedMatter::Crystal(crystal) => crystal.strain,
+            StackedMatter::Amorphous(_) => [0.0; 3],
+        },
+    };
+    let dislocation = |d: &EdgeDislocation| DislocationTruth {
+        position_nm: d.position.map(|v| NM * v),
+        burgers_nm: [NM * d.burgers[0], NM * d.burgers[1], 0.0],
+    };
+    let truth = StackTruth {
+        axis: table.along.axis(),
+        phases: names.clone(),
+        layers: crystals.layers.iter().enumerate().map(layer).collect(),
+        dislocations: crystals.dislocations.iter().map(dislocation).collect(),
+    };
+    SpecimenFacts {
+        thickness_nm: recipe.field.thickness_nm,
+        phases: if names.len() > 1 { names } else { Vec::new() },
+        stack: Some(truth),
+        ..SpecimenFacts::default()
+    }
+}
