@@ -70,7 +70,7 @@ impl Simulator {
             }),
             algorithm,
             slicing: match recipe.structure {
-                StructureKind::Atoms => Slicing::Auto,
+                StructureKind::Atoms | StructureKind::Stack => Slicing::Auto,
                 _ => Slicing::Planes,
             },
             ..Settings::default()
