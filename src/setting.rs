@@ -332,6 +332,8 @@ settings! {
     PatchRadiusAngstrom = "radius of the patch (A)",
     /// The number of phonon configurations that a world averages.
     AveragedConfigurations = "averaged configurations",
+    /// The number of simulated experiments that judge a test.
+    Experiments = "simulated experiments",
 }
 
 impl std::fmt::Display for Setting {

@@ -182,7 +182,9 @@ mod tests {
 
     #[test]
     fn other_texts_are_refused_with_the_form() {
-        for text in ["O", "vacancy", "vacancies:O", "vacancy:O@2", "vacancy:O@deep", "substitution:Ti"] {
+        for text in
+            ["O", "vacancy", "vacancies:O", "vacancy:O@2", "vacancy:O@deep", "substitution:Ti"]
+        {
             let said = text.parse::<AskedDefect>().unwrap_err().to_string();
             assert!(said.contains("substitution:Ti:Nb"), "{text}: {said}");
         }

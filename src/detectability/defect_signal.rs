@@ -35,8 +35,10 @@ impl DefectSignal {
         let differences = &images[1] - &images[0];
         let (information, error) = unbiased(&differences, &middle, area_angstrom2);
         let pairs = without.iter().zip(&with).zip(&middle);
-        let biased: f64 =
-            pairs.filter(|(_, m)| **m > 0.0).map(|((a, b), m)| area_angstrom2 * (b - a) * (b - a) / m).sum();
+        let biased: f64 = pairs
+            .filter(|(_, m)| **m > 0.0)
+            .map(|((a, b), m)| area_angstrom2 * (b - a) * (b - a) / m)
+            .sum();
         let scale = if biased > 0.0 { (information.max(0.0) / biased).sqrt() } else { 0.0 };
         let total: f64 = without.iter().sum();
         let contrast = (with.iter().sum::<f64>() - total) / total.max(f64::MIN_POSITIVE);
@@ -110,8 +112,7 @@ mod tests {
         let noise = |r: usize, n: usize, k: usize| {
             normal3(seed, Purpose::Detectability, r as u32, n as u64)[k]
         };
-        let without =
-            Array2::from_shape_fn((count, 40), |(r, n)| 0.05 + 2e-3 * noise(r, n, 0));
+        let without = Array2::from_shape_fn((count, 40), |(r, n)| 0.05 + 2e-3 * noise(r, n, 0));
         let with = Array2::from_shape_fn((count, 40), |(r, n)| {
             without[[r, n]] + change + 4e-4 * noise(r, n, 1)
         });

@@ -173,9 +173,8 @@ fn places(sites: &[Site], number: u8) -> Vec<usize> {
 /// The atoms of the column of an atom, by rising height.
 fn column(sites: &[Site], index: usize) -> Vec<usize> {
     let [x, y, _] = sites[index].position;
-    let near = |site: &Site| {
-        (site.position[0] - x).hypot(site.position[1] - y) <= SAME_COLUMN_ANGSTROM
-    };
+    let near =
+        |site: &Site| (site.position[0] - x).hypot(site.position[1] - y) <= SAME_COLUMN_ANGSTROM;
     let mut all: Vec<usize> = (0..sites.len()).filter(|i| near(&sites[*i])).collect();
     all.sort_by(|a, b| sites[*a].position[2].total_cmp(&sites[*b].position[2]));
     all
@@ -237,7 +236,8 @@ fn variants(
         }
         DefectDepth::Fraction(part) => {
             let off = |index: &usize| {
-                ((sites[*index].position[2] - part * thickness).abs() / STEP_ANGSTROM).round() as u64
+                ((sites[*index].position[2] - part * thickness).abs() / STEP_ANGSTROM).round()
+                    as u64
             };
             let nearest = hosts.iter().copied().min_by_key(|index| (off(index), *index));
             vec![nearest.into_iter().collect()]

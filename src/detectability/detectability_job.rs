@@ -339,7 +339,8 @@ struct Pristine {
 fn settings(request: &DetectabilityRequest, rings: &[Detector]) -> Result<Settings> {
     let numerics = &request.numerics;
     if let Some(percent) = numerics.accuracy_percent {
-        let expected = "the accuracy is for images of scans; name an engine or a window, or leave both out";
+        let expected =
+            "the accuracy is for images of scans; name an engine or a window, or leave both out";
         return Err(Error::invalid(Setting::AccuracyPercent, percent, expected));
     }
     let mut specimen = request.specimen.clone();
@@ -365,15 +366,16 @@ fn rings(request: &DetectabilityRequest, settings: &Settings) -> Result<Vec<Dete
     if width == 0.0 {
         return Ok(Vec::new());
     }
-    let outer =
-        request.microscope.detectors.iter().map(|d| d.outer_mrad).fold(0.0, f64::max);
+    let outer = request.microscope.detectors.iter().map(|d| d.outer_mrad).fold(0.0, f64::max);
     let inner = match settings.algorithm {
         Algorithm::Window { .. } => LEAST_SEMIANGLES * request.microscope.semiangle_mrad,
         _ => 0.0,
     };
     let (first, end) = ((inner / width - 1e-9).ceil() as usize, (outer / width + 1e-9) as usize);
     if end.saturating_sub(first) > MOST_SEARCH_RINGS {
-        let expected = format!("makes more than {MOST_SEARCH_RINGS} rings up to {outer} mrad; use wider rings");
+        let expected = format!(
+            "makes more than {MOST_SEARCH_RINGS} rings up to {outer} mrad; use wider rings"
+        );
         return Err(Error::invalid(Setting::RingWidthMrad, width, expected));
     }
     let ring = |n: usize| {

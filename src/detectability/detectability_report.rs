@@ -111,6 +111,16 @@ impl DetectorDetectability {
     pub fn needed(&self) -> NeededDose {
         self.linear.or(self.mixture).unwrap_or(self.known)
     }
+
+    /// The least standard error of the column's place at a dose in electrons per square Angstrom, in pm: the larger of x and y. It falls
+    /// with the root of the dose. NaN if the report has no doses.
+    pub fn place_error_pm(&self, dose: f64) -> f64 {
+        let at = |at: &AtDose| {
+            let [x, y] = at.position_error_angstrom;
+            100.0 * x.max(y) * (at.electrons_per_angstrom2 / dose).sqrt()
+        };
+        self.doses.first().map_or(f64::NAN, at)
+    }
 }
 
 /// An annulus made of rings, and its result.
@@ -199,19 +209,31 @@ impl DetectabilityReport {
             "{article} {defect} {link} {:.1} nm of {} (column {})",
             case.thickness_nm, self.name, case.column
         );
-        let aims = format!("{} % power at {} % false alarms", percent(self.power), percent(self.false_alarms));
+        let aims = format!(
+            "{} % power at {} % false alarms",
+            percent(self.power),
+            percent(self.false_alarms)
+        );
         let needed = found.needed();
         match needed.verdict {
             Verdict::Found => {
                 let dose = needed.electrons_per_angstrom2.map(short).unwrap_or_default();
-                let _ = write!(text, " is found on {} with {aims} from {dose} electrons per square Angstrom", found.detector);
+                let _ = write!(
+                    text,
+                    " is found on {} with {aims} from {dose} electrons per square Angstrom",
+                    found.detector
+                );
             }
             Verdict::Never => {
                 let _ = write!(text, " is not found on {} with {aims} at any dose", found.detector);
             }
             Verdict::Unresolved => {
                 let least = needed.range[0].map(short).unwrap_or_default();
-                let _ = write!(text, " needs more than {least} electrons per square Angstrom on {}; more phonon configurations would give the dose", found.detector);
+                let _ = write!(
+                    text,
+                    " needs more than {least} electrons per square Angstrom on {}; more phonon configurations would give the dose",
+                    found.detector
+                );
             }
         }
         if let Some(dose) = self.recipe_dose {

@@ -173,9 +173,8 @@ impl DetectabilityRequest {
     /// # Errors
     /// [`Error::Invalid`] with the setting and the limits.
     pub fn check(&self) -> Result<()> {
-        let refuse = |setting, value: String, expected: &str| {
-            Err(Error::invalid(setting, value, expected))
-        };
+        let refuse =
+            |setting, value: String, expected: &str| Err(Error::invalid(setting, value, expected));
         let share = |setting, value: f64| match value > 0.0 && value < 1.0 {
             true => Ok(()),
             false => Err(Error::invalid(setting, value, "expected a share above 0 and below 1")),
@@ -184,7 +183,8 @@ impl DetectabilityRequest {
         share(Setting::Power, self.power)?;
         share(Setting::DefectRate, self.rate)?;
         if self.power <= self.false_alarms {
-            let expected = "has to exceed the share of false alarms, which a test reaches by guessing";
+            let expected =
+                "has to exceed the share of false alarms, which a test reaches by guessing";
             return refuse(Setting::Power, self.power.to_string(), expected);
         }
         if self.defects.is_empty() {
@@ -232,7 +232,7 @@ impl DetectabilityRequest {
         }
         if !(100..=10_000_000).contains(&self.experiments) {
             let expected = "expected 100 to 10 000 000 simulated experiments";
-            return Err(Error::invalid(Setting::Recordings, self.experiments, expected));
+            return Err(Error::invalid(Setting::Experiments, self.experiments, expected));
         }
         if !self.thicknesses_nm.is_empty() && self.specimen.repeat.is_some() {
             let expected = "repetitions set the thickness too; leave one of the two out";

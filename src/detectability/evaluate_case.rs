@@ -46,7 +46,8 @@ pub struct Evaluation<'a> {
 impl<'a> Evaluation<'a> {
     /// Prepares the tests; pixels have the area `area` in square Angstrom.
     pub fn new(request: &'a DetectabilityRequest, images: &'a DetectorImages, area: f64) -> Self {
-        let signal = |with: &Array2<f64>| DefectSignal::new([images.without.view(), with.view()], area);
+        let signal =
+            |with: &Array2<f64>| DefectSignal::new([images.without.view(), with.view()], area);
         let signals: Vec<DefectSignal> = images.with.iter().map(signal).collect();
         let test = |signal: &DefectSignal| PoissonTest::new(&signal.means[0], &signal.means[1]);
         let known = signals.iter().map(test).collect();
@@ -58,7 +59,8 @@ impl<'a> Evaluation<'a> {
     /// The result of the detector.
     pub fn result(&self, detector: &Detector) -> DetectorDetectability {
         let count = self.signals.len() as f64;
-        let mean = |of: &dyn Fn(&DefectSignal) -> f64| self.signals.iter().map(of).sum::<f64>() / count;
+        let mean =
+            |of: &dyn Fn(&DefectSignal) -> f64| self.signals.iter().map(of).sum::<f64>() / count;
         let error = self.signals.iter().map(|s| s.error * s.error).sum::<f64>().sqrt() / count;
         let information = mean(&|s| s.information);
         let known = self.needed_known(information, error);
@@ -223,12 +225,13 @@ pub fn annuli(
     };
     let joined = |k: usize| each.iter().flat_map(|s| s.means[k].iter().copied()).collect();
     let all = DefectSignal::new(
-        [0, 1].map(|k| {
-            let views: Vec<_> = images.iter().map(|ring| ring[k].view()).collect();
-            ndarray::concatenate(Axis(1), &views).unwrap_or_default()
-        })
-        .each_ref()
-        .map(|image| image.view()),
+        [0, 1]
+            .map(|k| {
+                let views: Vec<_> = images.iter().map(|ring| ring[k].view()).collect();
+                ndarray::concatenate(Axis(1), &views).unwrap_or_default()
+            })
+            .each_ref()
+            .map(|image| image.view()),
         area,
     );
     let best = [rings[first].inner_mrad, rings[end - 1].outer_mrad];
@@ -301,7 +304,8 @@ fn mean_power(tests: &[TestPower]) -> TestPower {
     if let [one] = tests {
         return one.clone();
     }
-    let mean = |of: &dyn Fn(&TestPower) -> f64| tests.iter().map(of).sum::<f64>() / tests.len() as f64;
+    let mean =
+        |of: &dyn Fn(&TestPower) -> f64| tests.iter().map(of).sum::<f64>() / tests.len() as f64;
     let point = |n: usize| [tests[0].roc[n][0], mean(&|t| t.roc[n][1])];
     TestPower {
         d_prime: mean(&|t| t.d_prime * t.d_prime).sqrt(),

@@ -89,7 +89,8 @@ mod tests {
             let scatter = normal3(2, Purpose::Detectability, r as u32, 0)[0];
             0.05 * (1.0 + 0.02 * scatter) * (1.0 + 0.1 * n as f64)
         });
-        let change = |n: usize| if everywhere || n == 4 { 5e-4 * (1.0 + 0.1 * n as f64) } else { 0.0 };
+        let change =
+            |n: usize| if everywhere || n == 4 { 5e-4 * (1.0 + 0.1 * n as f64) } else { 0.0 };
         let with =
             Array2::from_shape_fn((configurations, 12), |(r, n)| without[[r, n]] + change(n));
         [without, with]

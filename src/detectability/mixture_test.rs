@@ -119,8 +119,7 @@ mod tests {
         // 200 false alarms set the threshold, an error of 0.026 standard deviations.
         assert!((counted.power - said.power).abs() < 5.0 * 0.4 * 0.026, "{counted:?} {said:?}");
         assert!((counted.auc - said.auc).abs() < 0.01);
-        let [needed, low, high] =
-            test.needed_dose([dose / 4.0, 100.0 * dose], 0.9, 0.01).unwrap();
+        let [needed, low, high] = test.needed_dose([dose / 4.0, 100.0 * dose], 0.9, 0.01).unwrap();
         let expected = known.needed_dose(0.9, 0.01).unwrap();
         assert!(low < needed && needed <= high);
         assert!((needed / expected - 1.0).abs() < 0.1, "{needed} {expected}");

@@ -26,6 +26,7 @@ mod linear_observer;
 mod mixture_test;
 mod patch_images;
 mod poisson_test;
+mod power_plot;
 mod roc;
 
 pub use asked_defect::{AskedDefect, DefectDepth, DefectForm};
@@ -38,4 +39,5 @@ pub use detectability_report::{
 pub use detectability_request::DetectabilityRequest;
 pub use mixture_test::MixtureTest;
 pub use poisson_test::PoissonTest;
+pub use power_plot::power_svg;
 pub use roc::{TestPower, normal_quantile};

@@ -76,8 +76,7 @@ impl Patch {
         progress: &dyn Progress,
     ) -> Result<Vec<Array2<f64>>> {
         let detectors = plan.settings.detectors.len();
-        let mut images =
-            vec![Array2::zeros((configurations as usize, self.len())); detectors];
+        let mut images = vec![Array2::zeros((configurations as usize, self.len())); detectors];
         let probes = self.probes();
         for configuration in 0..configurations {
             let share = ProgressShare::new(progress, probes.len());
@@ -87,7 +86,11 @@ impl Patch {
             for (detector, image) in images.iter_mut().enumerate() {
                 let of_detector = values.iter().skip(detector).step_by(detectors).copied();
                 let pixels = self.pixels(of_detector.collect());
-                image.row_mut(configuration as usize).iter_mut().zip(pixels).for_each(|(p, v)| *p = v);
+                image
+                    .row_mut(configuration as usize)
+                    .iter_mut()
+                    .zip(pixels)
+                    .for_each(|(p, v)| *p = v);
             }
         }
         Ok(images)

@@ -141,10 +141,8 @@ mod tests {
     fn scores_give_what_their_distribution_gives() {
         use crate::rng::{Purpose, normal3};
         let draw = |n: u64| normal3(3, Purpose::Detectability, 0, n)[0];
-        let scores = [
-            (0..20_000).map(draw).collect(),
-            (20_000..40_000).map(|n| 2.0 + draw(n)).collect(),
-        ];
+        let scores =
+            [(0..20_000).map(draw).collect(), (20_000..40_000).map(|n| 2.0 + draw(n)).collect()];
         let (found, known) =
             (TestPower::of_scores(scores, 0.01, 0.5), TestPower::normal(2.0, 0.01, 0.5));
         assert!((found.auc - known.auc).abs() < 0.004, "{found:?} {known:?}");
