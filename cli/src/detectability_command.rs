@@ -309,8 +309,8 @@ fn report_text(report: &DetectabilityReport, files: &[PathBuf]) -> String {
     out += "\n\nThe dose is for ";
     out += &format!(
         "{} % power at {} % false alarms, with one standard error. ",
-        100.0 * report.power,
-        100.0 * report.false_alarms
+        percent(report.power),
+        percent(report.false_alarms)
     );
     out += "`place` is the least error of the column's place at that dose.\n\n";
     out += &report.sentences().join("\n");
@@ -318,6 +318,11 @@ fn report_text(report: &DetectabilityReport, files: &[PathBuf]) -> String {
         out += &format!("\nfile  {}", file.display());
     }
     out
+}
+
+/// Returns a share in per cent, without needless digits.
+fn percent(share: f64) -> f64 {
+    (share * 1e6).round() / 1e4
 }
 
 fn case_rows(report: &DetectabilityReport, case: &DetectabilityCase) -> Vec<[String; 7]> {

@@ -57,7 +57,7 @@ pub fn short(value: f64) -> String {
             let digits = (1 - v.log10().floor() as i32).max(0) as usize;
             format!("{value:.digits$}")
         }
-        _ => exponent,
+        _ => exponent.replace(".0e", "e"),
     }
 }
 

@@ -28,6 +28,7 @@ pub struct DetectabilityRequest {
     /// The atoms without defects: a structure file, or atoms in memory.
     pub structure: AtomsSource,
     /// The defects, each looked for alone: `vacancy:O@middle`.
+    #[serde(default)]
     pub defects: Vec<AskedDefect>,
     /// Thicknesses in nm, each moved to a whole number of cells; empty: the thickness of the atoms as they are.
     #[serde(default)]
@@ -286,8 +287,8 @@ fn microscope(recipe: &Recipe) -> MicroscopeRequest {
     let optics = recipe.optics.optics();
     let source = recipe.optics.source();
     let mut aberrations = optics.aberrations.0;
-    // The first aberration is the defocus, which the request holds separately.
-    aberrations.remove(0);
+    // The request holds the defocus separately.
+    aberrations.retain(|a| (a.order, a.symmetry) != (1, 0));
     MicroscopeRequest {
         energy_kev: recipe.optics.energy_kv,
         semiangle_mrad: optics.semiangle_mrad,

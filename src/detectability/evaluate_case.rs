@@ -111,7 +111,7 @@ impl<'a> Evaluation<'a> {
 
     fn needed_known(&self, information: f64, error: f64) -> NeededDose {
         let start = self.normal_dose(information.max(0.0));
-        needed_known((information, error), start, |from| {
+        needed_known(self.request, (information, error), start, |from| {
             least_dose(|dose| self.known_power(dose), self.request.power, from)
         })
     }
@@ -213,7 +213,7 @@ pub fn annuli(
         images.iter().map(|[a, b]| DefectSignal::new([a.view(), b.view()], area)).collect();
     let found = |annulus_mrad: [f64; 2], information: f64, error: f64, means: [Vec<f64>; 2]| {
         let test = PoissonTest::new(&means[0], &means[1]);
-        let needed = needed_known((information, error), 0.0, |_| {
+        let needed = needed_known(request, (information, error), 0.0, |_| {
             test.needed_dose(request.power, request.false_alarms).unwrap_or(f64::INFINITY)
         });
         AnnulusFound {
@@ -250,6 +250,7 @@ fn normal_dose(request: &DetectabilityRequest, information: f64) -> f64 {
 
 /// The verdict on known images with an information and its error; `dose` finds the dose.
 fn needed_known(
+    request: &DetectabilityRequest,
     (information, error): (f64, f64),
     start: f64,
     dose: impl Fn(f64) -> f64,
@@ -259,8 +260,7 @@ fn needed_known(
     }
     if information <= 2.0 * error {
         let most = information.max(0.0) + 2.0 * error;
-        // Twice normal quantiles of the usual power and alarms.
-        let least = 3.6079f64.powi(2) / most;
+        let least = normal_dose(request, most);
         return NeededDose {
             verdict: Verdict::Unresolved,
             electrons_per_angstrom2: None,
