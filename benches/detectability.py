@@ -21,14 +21,16 @@ DETECTORS = {"HAADF": (68, 200), "MAADF": (45, 68), "ADF": (45, 200)}
 AT_80_KV = {"HAADF": (68, 200), "MAADF": (50, 68), "ADF": (50, 200)}
 #: Material, tier, defect, thicknesses in nm, options.
 CASES = [
-    ("srtio3", "easy", "vacancy:O", (2.0, 5.0, 10.0), {}),
-    ("srtio3", "easy", "vacancy:O", (5.0,), {"column": "Ti-O"}),
-    ("srtio3", "easy", "substitution:Ti:Nb", (2.0, 5.0), {}),
-    ("batio3", "easy", "vacancy:O", (2.0, 5.0), {}),
-    ("sige", "easy", "substitution:Si:Ge", (2.0, 5.0, 10.0), {}),
-    ("gan", "easy", "substitution:Ga:In", (2.0, 5.0, 10.0), {}),
-    ("pt", None, "vacancy:Pt", (2.0, 4.0), {"zone": (1, 1, 0), "sigma": 0.070}),
     ("mos2", "easy", "vacancy:S", (0.6147,), {"detectors": AT_80_KV}),
+    ("srtio3", "easy", "vacancy:O", (2.0, 5.0), {}),
+    ("sige", "easy", "substitution:Si:Ge", (2.0, 5.0), {}),
+    ("gan", "easy", "substitution:Ga:In", (2.0, 5.0), {}),
+    ("batio3", "easy", "vacancy:O", (2.0, 5.0), {}),
+    ("pt", None, "vacancy:Pt", (2.0,), {"zone": (1, 1, 0), "sigma": 0.070}),
+    ("srtio3", "easy", "substitution:Ti:Nb", (2.0, 5.0), {}),
+    ("srtio3", "easy", "vacancy:O", (10.0,), {}),
+    ("sige", "easy", "substitution:Si:Ge", (10.0,), {}),
+    ("gan", "easy", "substitution:Ga:In", (10.0,), {}),
 ]
 
 
@@ -45,6 +47,9 @@ def run(path: str, phonons: int) -> None:
             given = {"detectors": DETECTORS, "phonons": phonons, **options}
             found = sw.detectability(specimen, defect, thicknesses_nm=nm, difficulty=tier, **given)
             case = found.details["cases"][0]
+            for detector in case["detectors"]:
+                # The tests at each dose follow from the information.
+                del detector["doses"]
             line = {
                 "key": key,
                 "material": material,

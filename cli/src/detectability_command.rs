@@ -142,7 +142,7 @@ struct TestArgs {
 }
 
 #[derive(Serialize)]
-struct Found {
+struct DetectabilityFound {
     #[serde(flatten)]
     report: DetectabilityReport,
     sentences: Vec<String>,
@@ -171,14 +171,14 @@ impl Detectability {
         let report = job.run(&reporter)?;
         for path in &self.output {
             let bytes = match ending(path)? {
-                Ending::Json => serde_json::to_string_pretty(&report)? + "\n",
-                Ending::Csv => report.to_csv(),
-                Ending::Svg => power_svg(&report),
+                ResultForm::Json => serde_json::to_string_pretty(&report)? + "\n",
+                ResultForm::Csv => report.to_csv(),
+                ResultForm::Svg => power_svg(&report),
             };
             atomic_write::write(path, bytes.as_bytes())?;
         }
         let text = report_text(&report, &self.output);
-        let found = Found {
+        let found = DetectabilityFound {
             sentences: report.sentences(),
             report,
             output: self.output,
@@ -259,19 +259,19 @@ impl TestArgs {
 }
 
 /// The form of a file of results.
-enum Ending {
+enum ResultForm {
     Json,
     Csv,
     Svg,
 }
 
 /// Returns the form that the ending of a name asks for.
-fn ending(path: &Path) -> anyhow::Result<Ending> {
+fn ending(path: &Path) -> anyhow::Result<ResultForm> {
     let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     match ending.as_str() {
-        "json" => Ok(Ending::Json),
-        "csv" => Ok(Ending::Csv),
-        "svg" => Ok(Ending::Svg),
+        "json" => Ok(ResultForm::Json),
+        "csv" => Ok(ResultForm::Csv),
+        "svg" => Ok(ResultForm::Svg),
         _ => bail!(
             "--output {}: the name ends in .json (all numbers), .csv (a table) or .svg (curves)",
             path.display()

@@ -8,7 +8,7 @@ use super::defect_site::{DefectSite, pristine};
 use super::detectability_report::{DetectabilityCase, DetectabilityReport};
 use super::detectability_request::DetectabilityRequest;
 use super::evaluate_case::{DetectorImages, Evaluation, annuli};
-use super::patch_images::Patch;
+use super::patch_images::ColumnPatch;
 use crate::detect::Detector;
 use crate::engine::{
     Algorithm, Cost, Plan, ProbeBox, Settings, Simulation, Site, WindowChoice, check_memory,
@@ -201,9 +201,9 @@ impl DetectabilityJob {
         })
     }
 
-    fn patch(&self, stage: &Stage, site: &DefectSite) -> Result<Patch> {
+    fn patch(&self, stage: &Stage, site: &DefectSite) -> Result<ColumnPatch> {
         let [x, y, _] = stage.atoms.size_angstrom;
-        let patch = Patch::new(site.centre, self.request.radius_angstrom, self.step_angstrom);
+        let patch = ColumnPatch::new(site.centre, self.request.radius_angstrom, self.step_angstrom);
         patch.blurred(self.request.microscope.source(), [x, y])
     }
 
@@ -269,7 +269,7 @@ impl DetectabilityJob {
         &self,
         (simulation, plan): (&mut Simulation<'_>, &Plan),
         stage: &Stage,
-        (site, patch): (&DefectSite, &Patch),
+        (site, patch): (&DefectSite, &ColumnPatch),
         progress: &dyn Progress,
     ) -> Result<Pristine> {
         let sites: &[Site] = &stage.atoms.sites;

@@ -10,7 +10,7 @@ use super::roc::TestPower;
 /// Whether a dose suffices to find a defect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Verdict {
+pub enum DoseVerdict {
     /// The dose is known.
     Found,
     /// No dose suffices: the defect changes nothing, or the scatter of other causes hides it.
@@ -23,7 +23,7 @@ pub enum Verdict {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct NeededDose {
     /// Whether there is a dose.
-    pub verdict: Verdict,
+    pub verdict: DoseVerdict,
     /// The dose in electrons per square Angstrom.
     pub electrons_per_angstrom2: Option<f64>,
     /// The dose plus and minus one standard error; an end that no simulation bounds is missing.
@@ -33,17 +33,17 @@ pub struct NeededDose {
 impl NeededDose {
     /// No dose suffices.
     pub const NEVER: NeededDose =
-        NeededDose { verdict: Verdict::Never, electrons_per_angstrom2: None, range: [None; 2] };
+        NeededDose { verdict: DoseVerdict::Never, electrons_per_angstrom2: None, range: [None; 2] };
 
     /// The dose in words: `3.4e6 (3.1e6 to 3.8e6)`.
     pub fn words(&self) -> String {
         match (self.verdict, self.electrons_per_angstrom2, self.range) {
-            (Verdict::Found, Some(dose), [Some(low), Some(high)]) => {
+            (DoseVerdict::Found, Some(dose), [Some(low), Some(high)]) => {
                 format!("{} ({} to {})", short(dose), short(low), short(high))
             }
-            (Verdict::Found, Some(dose), _) => short(dose),
-            (Verdict::Unresolved, _, [Some(least), _]) => format!("above {}", short(least)),
-            (Verdict::Unresolved, ..) => "unresolved".to_owned(),
+            (DoseVerdict::Found, Some(dose), _) => short(dose),
+            (DoseVerdict::Unresolved, _, [Some(least), _]) => format!("above {}", short(least)),
+            (DoseVerdict::Unresolved, ..) => "unresolved".to_owned(),
             _ => "not at any dose".to_owned(),
         }
     }
@@ -216,7 +216,7 @@ impl DetectabilityReport {
         );
         let needed = found.needed();
         match needed.verdict {
-            Verdict::Found => {
+            DoseVerdict::Found => {
                 let dose = needed.electrons_per_angstrom2.map(short).unwrap_or_default();
                 let _ = write!(
                     text,
@@ -224,10 +224,10 @@ impl DetectabilityReport {
                     found.detector
                 );
             }
-            Verdict::Never => {
+            DoseVerdict::Never => {
                 let _ = write!(text, " is not found on {} with {aims} at any dose", found.detector);
             }
-            Verdict::Unresolved => {
+            DoseVerdict::Unresolved => {
                 let least = needed.range[0].map(short).unwrap_or_default();
                 let _ = write!(
                     text,
@@ -254,9 +254,9 @@ impl DetectabilityReport {
             for found in &case.detectors {
                 let needed = found.needed();
                 let verdict = match needed.verdict {
-                    Verdict::Found => "found",
-                    Verdict::Never => "never",
-                    Verdict::Unresolved => "unresolved",
+                    DoseVerdict::Found => "found",
+                    DoseVerdict::Never => "never",
+                    DoseVerdict::Unresolved => "unresolved",
                 };
                 for at in &found.doses {
                     let test = at.linear.as_ref().or(at.mixture.as_ref()).unwrap_or(&at.known);

@@ -4,7 +4,7 @@ use ndarray::{Array2, Axis};
 
 use super::defect_signal::{DefectSignal, best_annulus};
 use super::detectability_report::{
-    AnnulusFound, AtDose, DetectorDetectability, NeededDose, Verdict,
+    AnnulusFound, AtDose, DetectorDetectability, DoseVerdict, NeededDose,
 };
 use super::detectability_request::DetectabilityRequest;
 use super::linear_observer::linear_d_prime;
@@ -262,7 +262,7 @@ fn needed_known(
         let most = information.max(0.0) + 2.0 * error;
         let least = normal_dose(request, most);
         return NeededDose {
-            verdict: Verdict::Unresolved,
+            verdict: DoseVerdict::Unresolved,
             electrons_per_angstrom2: None,
             range: [Some(least), None],
         };
@@ -270,7 +270,7 @@ fn needed_known(
     let dose = dose(start);
     let at = |information: f64, of: f64| Some(dose * information / of);
     NeededDose {
-        verdict: Verdict::Found,
+        verdict: DoseVerdict::Found,
         electrons_per_angstrom2: Some(dose),
         range: [at(information, information + error), at(information, information - error)],
     }
@@ -280,7 +280,7 @@ fn needed_known(
 fn scaled(known: NeededDose, found: f64) -> NeededDose {
     let factor = known.electrons_per_angstrom2.map_or(1.0, |dose| found / dose);
     NeededDose {
-        verdict: Verdict::Found,
+        verdict: DoseVerdict::Found,
         electrons_per_angstrom2: Some(found),
         range: known.range.map(|end| end.map(|dose| factor * dose)),
     }

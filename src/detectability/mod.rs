@@ -34,7 +34,7 @@ pub use defect_signal::{DefectSignal, best_annulus};
 pub use detectability_job::{DetectabilityJob, DetectabilityPlan};
 pub use detectability_report::{
     AnnulusFound, AtDose, DetectabilityCase, DetectabilityReport, DetectorDetectability,
-    NeededDose, Verdict,
+    DoseVerdict, NeededDose,
 };
 pub use detectability_request::DetectabilityRequest;
 pub use mixture_test::MixtureTest;

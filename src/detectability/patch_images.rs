@@ -8,7 +8,7 @@ use crate::progress::{Progress, ProgressShare};
 
 /// The probes of a patch: the points of a square raster within a circle.
 #[derive(Debug, Clone)]
-pub struct Patch {
+pub struct ColumnPatch {
     /// The raster around the circle.
     scan: Scan,
     /// Indices in the raster of the points within the circle.
@@ -17,7 +17,7 @@ pub struct Patch {
     blur: Option<SourceBlur>,
 }
 
-impl Patch {
+impl ColumnPatch {
     /// The points of a raster of `step` around `centre`, which is one of them, within `radius` (Angstrom).
     pub fn new(centre: [f64; 2], radius: f64, step: f64) -> Self {
         let reach = (radius / step).floor() as usize;
@@ -25,7 +25,7 @@ impl Patch {
         let off = |n: usize| (n as f64 - reach as f64) * step;
         let within = |index: &usize| off(index / side).hypot(off(index % side)) <= radius;
         let origin_angstrom = centre.map(|x| x - reach as f64 * step);
-        Patch {
+        ColumnPatch {
             scan: Scan { origin_angstrom, step_angstrom: [step; 2], shape: [side; 2] },
             inside: (0..side * side).filter(within).collect(),
             blur: None,
@@ -38,7 +38,7 @@ impl Patch {
     /// Errors of [`SourceBlur::new`].
     pub fn blurred(self, source: Option<crate::engine::Source>, size: [f64; 2]) -> Result<Self> {
         let blur = source.map(|source| SourceBlur::new(source, &self.scan, size)).transpose()?;
-        Ok(Patch { blur, ..self })
+        Ok(ColumnPatch { blur, ..self })
     }
 
     /// Area of a pixel in square Angstrom.
@@ -117,12 +117,12 @@ mod tests {
 
     #[test]
     fn patches_are_discs_around_their_centre() {
-        let patch = Patch::new([5.0, 7.0], 1.2, 0.15);
+        let patch = ColumnPatch::new([5.0, 7.0], 1.2, 0.15);
         let area = patch.len() as f64 * patch.area_angstrom2();
         assert!((area / (std::f64::consts::PI * 1.44) - 1.0).abs() < 0.05, "{area}");
         let places: Vec<_> = patch.inside.iter().map(|i| patch.scan.position(*i)).collect();
         assert!(places.iter().any(|p| (p[0] - 5.0).hypot(p[1] - 7.0) < 1e-9));
         assert!(places.iter().all(|p| (p[0] - 5.0).hypot(p[1] - 7.0) <= 1.2 + 1e-9));
-        assert_eq!(Patch::new([0.0; 2], 0.2, 0.5).len(), 1);
+        assert_eq!(ColumnPatch::new([0.0; 2], 0.2, 0.5).len(), 1);
     }
 }

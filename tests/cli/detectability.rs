@@ -23,7 +23,10 @@ fn a_recipe_gives_a_table_a_sentence_and_files() {
     let output = quick(here).args(files).output().unwrap();
     let text = stdout(&output);
     assert!(output.status.success(), "{}", stderr(&output));
-    assert!(text.contains("A missing S atom in the middle of 0.6 nm of mos2 (column S2)"), "{text}");
+    assert!(
+        text.contains("A missing S atom in the middle of 0.6 nm of mos2 (column S2)"),
+        "{text}"
+    );
     assert!(text.contains("; the recipe gives 1e5."), "{text}");
     let again = quick(here).args(files).output().unwrap();
     assert!(!again.status.success() && stderr(&again).contains("--overwrite"));

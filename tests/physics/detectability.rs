@@ -1,7 +1,7 @@
 //! The dose at which a defect is seen, from simulated images.
 
 use stemgen::detectability::{
-    DetectabilityJob, DetectabilityReport, DetectabilityRequest, Verdict,
+    DetectabilityJob, DetectabilityReport, DetectabilityRequest, DoseVerdict,
 };
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
@@ -31,7 +31,7 @@ fn sulphur_of_a_layer_needs_far_less_dose_than_oxygen_of_a_crystal() {
         needed.electrons_per_angstrom2.or(needed.range[0]).unwrap()
     };
     let layer_result = &layer.cases[0].detectors[0];
-    assert_eq!(layer_result.needed().verdict, Verdict::Found);
+    assert_eq!(layer_result.needed().verdict, DoseVerdict::Found);
     assert!(layer_result.contrast_percent < -20.0, "{layer_result:?}");
     assert!(dose(&crystal) > 10.0 * dose(&layer), "{} {}", dose(&crystal), dose(&layer));
     // At the needed dose the reported power is the power that was asked for.
