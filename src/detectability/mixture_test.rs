@@ -30,7 +30,7 @@ struct KnownImage {
 }
 
 impl KnownImage {
-    fn new(image: &Vec<f64>) -> Self {
+    fn new(image: &[f64]) -> Self {
         let logarithms = image.iter().map(|m| libm::log(m.max(f64::MIN_POSITIVE))).collect();
         KnownImage { logarithms, sum: image.iter().sum() }
     }
@@ -39,7 +39,8 @@ impl KnownImage {
 impl MixtureTest {
     /// The test at a dose (electrons per square Angstrom), a share of false alarms, and a share `rate` of columns with the defect.
     pub fn at(&self, dose: f64, alarms: f64, rate: f64) -> TestPower {
-        let known = [0, 1].map(|h| self.known[h].iter().map(KnownImage::new).collect::<Vec<_>>());
+        let known = [0, 1]
+            .map(|h| self.known[h].iter().map(|image| KnownImage::new(image)).collect::<Vec<_>>());
         let scores = [0, 1].map(|hypothesis| {
             let one = |experiment| self.score(hypothesis, experiment, dose, &known);
             (0..self.experiments).into_par_iter().map(one).collect::<Vec<f64>>()

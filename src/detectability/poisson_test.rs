@@ -11,7 +11,7 @@ const NO_INFORMATION: f64 = 1e-20;
 const AT_MEAN: f64 = 1e-4;
 /// Largest exponent of a saddle point.
 const MOST_EXPONENT: f64 = 300.0;
-/// Counted electrons below which average precisions are those of normal distributions.
+/// Counted electrons below which average precisions assume normal distributions.
 const FEW_ELECTRONS: f64 = 3.0;
 /// Largest relative error of a share of false alarms at its saddle point.
 const MISSED: f64 = 0.02;
