@@ -118,6 +118,7 @@
 //! - [`specimen`]: every site of a large field, queried region by region
 //! - [`imaging`]: the image of any rectangle of a field, and its error
 //! - [`simulation`]: images of a user's atoms: the request, and the job that fulfils it
+//! - [`detectability`]: the dose at which a defect is found
 //! - [`io`]: files of images, worlds and atoms
 //! - [`render`]: PNG pictures, drawings of specimens, HTML pages
 //! - [`world`]: tiles with their truth, and whole worlds
@@ -144,6 +145,7 @@ pub mod benchmark;
 pub mod constants;
 pub mod damage;
 pub mod detect;
+pub mod detectability;
 pub mod engine;
 pub mod error;
 pub mod fft;

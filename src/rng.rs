@@ -60,6 +60,8 @@ pub enum Purpose {
     HeldOut = 50,
     /// Electrons counted in an episode of the benchmark.
     Acquired = 51,
+    /// Simulated experiments of the test for a defect.
+    Detectability = 52,
 }
 
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

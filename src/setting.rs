@@ -315,6 +315,25 @@ settings! {
     Alpha = "alpha",
     /// The pixels of two worlds that are compared.
     PixelSizeNm = "pixel size (nm)",
+    // Detectability
+    /// The kind and the depth of a defect.
+    Defect = "defect",
+    /// The column that holds a defect.
+    DefectSite = "site of the defect",
+    /// Thicknesses at which a defect is looked for.
+    DefectThicknessNm = "thickness (nm)",
+    /// The share of columns without a defect that a test reports.
+    FalseAlarms = "false alarms",
+    /// The share of the defects that a test finds.
+    Power = "power",
+    /// The share of columns that hold the defect.
+    DefectRate = "rate of the defect",
+    /// The radius of the patch around a column whose pixels a test reads.
+    PatchRadiusAngstrom = "radius of the patch (A)",
+    /// The number of phonon configurations that a world averages.
+    AveragedConfigurations = "averaged configurations",
+    /// The number of simulated experiments that judge a test.
+    Experiments = "simulated experiments",
 }
 
 impl std::fmt::Display for Setting {

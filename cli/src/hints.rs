@@ -144,7 +144,9 @@ pub fn options(setting: Setting) -> Option<&'static str> {
         S::SourceLorentzShare => Some("--source-lorentz"),
         S::Detector | S::DetectorName | S::Detectors => Some("--detector"),
         S::PatternPixels => Some("--pixels, of `stemgen patterns`"),
-        S::RingWidthMrad => Some("--radial and --max-angle"),
+        S::RingWidthMrad => {
+            Some("--radial and --max-angle, and --rings of `stemgen detectability`")
+        }
         S::DetectorMtf => Some("--mtf"),
         S::MaxAngleMrad => Some("--max-angle, and --sampling for a finer grid"),
         S::Zone => Some("--zone and --up, and --max-strain PERCENT"),
@@ -222,6 +224,15 @@ pub fn options(setting: Setting) -> Option<&'static str> {
         S::Alpha => Some("--alpha"),
         S::MostDose => Some("--most-dose"),
         S::Recordings => Some("--dose-series"),
+        S::Defect => Some("--defect, such as --defect vacancy:O@middle"),
+        S::DefectSite => Some("--site X,Y and --column"),
+        S::DefectThicknessNm => Some("--thickness"),
+        S::FalseAlarms => Some("--false-alarms"),
+        S::Power => Some("--power"),
+        S::DefectRate => Some("--rate"),
+        S::PatchRadiusAngstrom => Some("--radius"),
+        S::AveragedConfigurations => Some("--averaged"),
+        S::Experiments => Some("--experiments"),
         S::Card => {
             Some("--title, --license, --creator, --organization, --url, --date and --data-version")
         }

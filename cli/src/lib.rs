@@ -14,6 +14,7 @@ mod card_command;
 mod common;
 mod compare_command;
 mod crash_note;
+mod detectability_command;
 mod foreign_options;
 mod hdf5_check;
 mod hints;
@@ -78,6 +79,8 @@ Examples:
   Simulate the HAADF image of a crystal, or its diffraction patterns:
     stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --png
     stemgen patterns si.cif --repeat 8,8,10 --scan-end 5.431,5.431 --png
+  Find the dose at which a missing atom is seen:
+    stemgen detectability srtio3 --difficulty easy --thickness 2,5,10
   List the recipes of specimens, and write the atoms of one:
     stemgen list
     stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
@@ -103,6 +106,7 @@ enum Command {
     Simulate(Box<simulate_command::Simulate>),
     Patterns(Box<patterns_command::Patterns>),
     Integrate(Box<integrate_command::Integrate>),
+    Detectability(Box<detectability_command::Detectability>),
     Rerun(Box<rerun_command::Rerun>),
     Build(Box<build_command::Build>),
     Specimen(Box<specimen_command::SpecimenCommand>),
@@ -155,6 +159,7 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::Simulate(command) => ("simulate", command.run().map(done)),
         Command::Patterns(command) => ("patterns", command.run().map(done)),
         Command::Integrate(command) => ("integrate", command.run().map(done)),
+        Command::Detectability(command) => ("detectability", command.run().map(done)),
         Command::Rerun(command) => ("rerun", command.run()),
         Command::Build(command) => ("build", command.run()),
         Command::Specimen(command) => ("specimen", command.run().map(done)),

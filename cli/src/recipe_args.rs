@@ -184,6 +184,22 @@ impl RecipeArgs {
         format!("{}{grid}{}", world_name(recipe), seed.unwrap_or_default())
     }
 
+    /// Returns the file of atoms that is named in place of a material.
+    pub fn atoms_file(&self) -> Option<PathBuf> {
+        self.material.as_ref().map(PathBuf::from).filter(|file| is_atoms_file(file))
+    }
+
+    /// Whether options change the recipe, apart from its seed.
+    pub fn changes_recipe(&self) -> bool {
+        let changed = !(self.set.is_empty() && self.unset.is_empty());
+        changed || self.difficulty.is_some() || self.grid.is_some()
+    }
+
+    /// Returns the seed that is asked for.
+    pub fn seed(&self) -> Option<u64> {
+        self.seed
+    }
+
     /// Returns the tier that is asked for.
     pub fn difficulty(&self) -> Option<Difficulty> {
         self.difficulty.map(Difficulty::from)

@@ -5,6 +5,7 @@ use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::str::FromStr;
 use stemgen::detect::Detector;
+use stemgen::detectability::AskedDefect;
 use stemgen::engine::{Expansion, ProbeStep};
 use stemgen::files::Shard;
 use stemgen::io::tiff_file::TiffDepth;
@@ -65,6 +66,34 @@ pub fn series(text: &str) -> Parsed<NumberSeries> {
         ));
     }
     Ok(NumberSeries((0..=count as usize).map(|n| start + n as f64 * step).collect()))
+}
+
+/// Doses: a number, or `LOW:HIGH`, one dose for each decade with both ends.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DoseRange(pub Vec<f64>);
+
+/// Reads `1e4` or `1e2:1e6`.
+pub fn doses(text: &str) -> Parsed<DoseRange> {
+    let Some((low, high)) = text.split_once(':') else {
+        return Ok(DoseRange(vec![positive(text)?]));
+    };
+    let (low, high) = (positive(low)?, positive(high)?);
+    if high < low {
+        return Err("the second dose is the higher one, as in 1e2:1e6".into());
+    }
+    let mut all = Vec::new();
+    let mut dose = low;
+    while dose < high * (1.0 - 1e-9) {
+        all.push(dose);
+        dose *= 10.0;
+    }
+    all.push(high);
+    Ok(DoseRange(all))
+}
+
+/// Reads `vacancy:O@middle`.
+pub fn defect(text: &str) -> Parsed<AskedDefect> {
+    text.parse().map_err(|e: stemgen::Error| e.to_string())
 }
 
 /// Bits of a grey value.

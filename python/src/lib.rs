@@ -8,6 +8,7 @@ mod builds;
 mod caches;
 mod checks;
 mod command_line;
+mod detectability;
 mod errors;
 mod files;
 mod live;
@@ -56,6 +57,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(checks::validation_cases, module)?)?;
     module.add_function(wrap_pyfunction!(command_line::check_file, module)?)?;
     module.add_function(wrap_pyfunction!(command_line::main, module)?)?;
+    module.add_function(wrap_pyfunction!(detectability::detectability, module)?)?;
     module.add_function(wrap_pyfunction!(errors::settings, module)?)?;
     module.add_function(wrap_pyfunction!(files::save_hspy, module)?)?;
     module.add_function(wrap_pyfunction!(files::save_tiff, module)?)?;

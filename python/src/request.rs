@@ -37,6 +37,23 @@ impl<'a, 'py, T: DeserializeOwned> FromPyObject<'a, 'py> for Parsed<T> {
     }
 }
 
+/// Reads a value of the library from JSON. Missing keys have the library's defaults.
+///
+/// # Errors
+/// The exception of `stemworlds.errors` for a wrong value, with the keyword.
+pub fn of_json<T: DeserializeOwned>(py: Python<'_>, value: serde_json::Value) -> PyResult<T> {
+    serde_path_to_error::deserialize(value).map_err(|error| {
+        let place = error.path().to_string();
+        let message = error.into_inner().to_string();
+        let wrong_type = message.starts_with("invalid type");
+        let make = || {
+            let module = py.import("stemworlds.errors")?;
+            module.call_method1("_of_request", (place, &message, wrong_type))
+        };
+        make().map_or(PyTypeError::new_err(message.clone()), PyErr::from_value)
+    })
+}
+
 impl Request {
     /// Returns the simulation of the file that the request names, or of `atoms`.
     ///
@@ -76,7 +93,11 @@ impl<'a, 'py> FromPyObject<'a, 'py> for Positions {
 }
 
 impl AtomArrays {
-    fn structure(&self) -> Result<Structure, Fault> {
+    /// Returns the atoms as a structure of the library.
+    ///
+    /// # Errors
+    /// Errors of the arrays.
+    pub fn structure(&self) -> Result<Structure, Fault> {
         let positions = &self.positions.0;
         let refuse = |value: String, expected: &str| {
             Err(Fault::Value(Setting::StructureFile, value, expected.to_owned()))

@@ -16,6 +16,14 @@ from ._core import __version__
 from .atoms import AtomArrays
 from .building import BuildOptions, BuildPart, BuildPlan, build, build_part, plan
 from .checking import Audit, Comparison, Validation, Verification, audit, compare, validate, validation_cases, verify
+from .detecting import (
+    Detectability,
+    DetectabilityCase,
+    DetectabilityOptions,
+    DetectorResult,
+    NeededDose,
+    detectability,
+)
 from .errors import (
     FileError,
     FormatError,
@@ -57,6 +65,10 @@ __all__ = [
     "BuildPlan",
     "Comparison",
     "DataCube",
+    "Detectability",
+    "DetectabilityCase",
+    "DetectabilityOptions",
+    "DetectorResult",
     "DiffractionPattern",
     "FileError",
     "FormatError",
@@ -65,6 +77,7 @@ __all__ = [
     "InvalidValue",
     "LiveView",
     "LiveWorld",
+    "NeededDose",
     "NotEnoughMemory",
     "PlaneWave",
     "ProbeValues",
@@ -89,6 +102,7 @@ __all__ = [
     "build_part",
     "cache",
     "compare",
+    "detectability",
     "diffraction",
     "errors",
     "export",

@@ -95,6 +95,15 @@ class SimulationRequest(_SimulationRequest, total=False):
     scan: ScanRequest
     numerics: NumericsRequest
 
+class DefectSource(TypedDict):
+    recipe: str | None
+    atoms: AtomArrays | None
+    name: str
+
+def detectability(
+    request: dict[str, Any], source: DefectSource, force: bool, running: Running
+) -> tuple[str, list[str], str, str]: ...
+
 class _SharedFacts(TypedDict):
     thicknesses_angstrom: list[float]
     box_angstrom: list[float]

@@ -210,6 +210,15 @@ _KEYWORDS: dict[str, str | None] = {
     "ScatteringFactor": None,
     "Alpha": "alpha",
     "PixelSizeNm": None,
+    "Defect": "defects",
+    "DefectSite": "site_angstrom or column",
+    "DefectThicknessNm": "thicknesses_nm",
+    "FalseAlarms": "false_alarms",
+    "Power": "power",
+    "DefectRate": "rate",
+    "PatchRadiusAngstrom": "radius_angstrom",
+    "AveragedConfigurations": "averaged",
+    "Experiments": "experiments",
 }
 
 _KINDS: dict[str, type[StemworldsError]] = {

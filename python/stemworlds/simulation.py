@@ -423,17 +423,9 @@ def _request(atoms: Atoms, options: SimulationOptions) -> tuple[_core.Simulation
     if unknown:
         raise TypeError(f"unexpected keyword argument {sorted(unknown)[0]!r}")
     source = atoms_source(atoms)
-    tables: dict[str, dict[str, Any]] = {"specimen": {}, "microscope": {}, "numerics": {}}
     # None is the default of options with None in their type. For other options the library reports it as an error.
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None or key not in _NULLABLE}
-    for keyword, value in given.items():
-        if keyword in _AS_GIVEN:
-            table, key = _AS_GIVEN[keyword]
-            tables[table][key] = value
-        elif keyword in _READERS:
-            table, key, read = _READERS[keyword]
-            tables[table][key] = read(value)
-    request: Any = {"structure": source if isinstance(source, str) else "", **tables}
+    request: Any = {"structure": source if isinstance(source, str) else "", **_tables(given)}
     if "scan" in given:
         request["scan"] = given["scan"]._request()
     if "thicknesses_angstrom" in given:
@@ -441,6 +433,21 @@ def _request(atoms: Atoms, options: SimulationOptions) -> tuple[_core.Simulation
     if "dose" in given:
         request["electrons_per_angstrom2"] = given["dose"]
     return request, None if isinstance(source, str) else source
+
+
+def _tables(given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Returns the tables of a request with the given options."""
+    tables: dict[str, dict[str, Any]] = {"specimen": {}, "microscope": {}, "numerics": {}}
+    for keyword, value in given.items():
+        if value is None and keyword in _NULLABLE:
+            continue
+        if keyword in _AS_GIVEN:
+            table, key = _AS_GIVEN[keyword]
+            tables[table][key] = value
+        elif keyword in _READERS:
+            table, key, read = _READERS[keyword]
+            tables[table][key] = read(value)
+    return tables
 
 
 def _frames(frames: Any) -> dict[str, int]:
@@ -503,6 +510,10 @@ _READERS: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
     "interpolation": ("numerics", "interpolation", _interpolation),
     "gpts": ("numerics", "gpts", lambda value: _counts("gpts", value, 2)),
 }
+
+
+#: Options that the tables of a request hold.
+_KEYS_OF_REQUEST = _AS_GIVEN.keys() | _READERS.keys()
 
 
 def _defoci(defocus: Any) -> list[float]:

@@ -22,6 +22,7 @@ fn help_is_as_stored() {
     compare("simulate", &["simulate"]);
     compare("patterns", &["patterns"]);
     compare("integrate", &["integrate"]);
+    compare("detectability", &["detectability"]);
     compare("rerun", &["rerun"]);
     compare("build", &["build"]);
     compare("specimen", &["specimen"]);

@@ -6,6 +6,7 @@ mod cache;
 mod card;
 mod checks;
 mod compare;
+mod detectability;
 #[path = "../common/dm_bytes.rs"]
 mod dm_bytes;
 mod docs;

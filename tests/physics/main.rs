@@ -9,6 +9,7 @@ mod cases;
 mod common;
 mod contamination;
 mod crystals;
+mod detectability;
 mod detector_response;
 mod engines;
 mod golden;
