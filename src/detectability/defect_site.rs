@@ -287,7 +287,7 @@ mod tests {
         let said = found(&request).1.unwrap_err().to_string();
         assert!(said.contains("O, Ti-O"), "{said}");
         request.column = None;
-        request.site_angstrom = Some([1.0, 1.0]);
+        request.site_angstrom = Some([0.0, 0.0]);
         let said = found(&request).1.unwrap_err().to_string();
         assert!(said.contains("the nearest column with this element"), "{said}");
         request.defects = vec!["vacancy:Nb".parse().unwrap()];

@@ -129,7 +129,7 @@ impl Plan {
             .flatten()
     }
 
-    /// A warning about slices that were left open and are coarser than those of the exact engine.
+    /// A warning about slices that were left open and are coarser than the slices of the exact engine.
     pub fn coarse_slices(&self) -> Option<String> {
         let coarse = self.settings.slicing == Slicing::Auto && self.group_slices;
         coarse.then(|| {
@@ -410,7 +410,8 @@ mod tests {
 
     #[test]
     fn slices_that_are_left_open_follow_atoms_without_planes() {
-        let none: Vec<f64> = (0..400).map(|i| (f64::from(i) * 23.483).rem_euclid(38.0)).collect();
+        let none: Vec<f64> =
+            (0..400).map(|i| (f64::from(i) * 38.0 * 0.618_034).rem_euclid(38.0)).collect();
         let plan = |algorithm, z: &[f64]| {
             let settings = Settings { algorithm, slicing: Slicing::Auto, ..Settings::default() };
             Plan::new(&settings, CELL, z).unwrap()

@@ -335,7 +335,8 @@ mod tests {
     #[test]
     fn what_is_left_open_depends_on_planes_and_windows() {
         let planes: Vec<f64> = (0..20).map(|i| f64::from(i) * 1.95 + 0.3).collect();
-        let none: Vec<f64> = (0..400).map(|i| (f64::from(i) * 23.483).rem_euclid(38.0)).collect();
+        let none: Vec<f64> =
+            (0..400).map(|i| (f64::from(i) * 38.0 * 0.618_034).rem_euclid(38.0)).collect();
         let of = |windows, z: &[f64]| Slicing::Auto.resolved(windows, 39.0, z);
         assert_eq!([of(true, &planes), of(false, &planes)], [Slicing::Planes; 2]);
         assert_eq!(of(true, &none), Slicing::Local(LOCAL_ANGSTROM));
