@@ -192,7 +192,11 @@ impl Scene {
 
     /// Adds a line to the legend. Characters that the font lacks are left out.
     pub fn legend(&mut self, swatch: Swatch, text: impl Into<String>) {
-        self.legend.push((swatch, text.into()));
+        let text = text.into();
+        // Overlays may draw the same lines.
+        if !self.legend.iter().any(|(_, known)| *known == text) {
+            self.legend.push((swatch, text));
+        }
     }
 
     /// The picture, with a scale bar.

@@ -545,7 +545,7 @@ fn measured_latency_memory_and_audits() {
 #[test]
 fn patterns_are_of_the_atoms_that_are_left() {
     let mut world = world(&[]);
-    let asked = request([1.9, 1.9], 1.0, 9e5);
+    let asked = request([1.9, 1.9], 1.0, 1.0);
     let oxygen = |world: &LiveWorld| {
         let place = world.patterns_at(&asked, &PatternsRequest::default()).unwrap();
         let job = place.job();
@@ -557,7 +557,7 @@ fn patterns_are_of_the_atoms_that_are_left() {
         job.specimen().composition()["O"]
     };
     let before = oxygen(&world);
-    world.acquire(&asked, &Silent).unwrap();
+    world.acquire(&request([1.9, 1.9], 1.0, 9e5), &Silent).unwrap();
     assert!(oxygen(&world) < before, "{} of {before}", oxygen(&world));
     let outside = request([0.1, 1.6], 1.0, 1.0);
     let fault = world.patterns_at(&outside, &PatternsRequest::default()).err().unwrap();
