@@ -46,7 +46,7 @@ add_module_names = False
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
-napoleon_custom_sections = [(name, "params_style") for name in ("Specimen", "Microscope", "Results", "Numerics", "Running", "Recipe", "Image")]
+napoleon_custom_sections = [(name, "params_style") for name in ("Test", "Defect", "Specimen", "Microscope", "Results", "Numerics", "Running", "Recipe", "Image")]
 
 
 def _inline(writer: Any, node: Any) -> None:

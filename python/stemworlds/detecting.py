@@ -40,13 +40,15 @@ class DetectabilityOptions(TypedDict, total=False):
         site_angstrom: place ``(x, y)`` in the box; the nearest column that holds the element is taken. Default: near the centre.
         column: elements of the column that holds the defect, ``"Ti-O"``. Default: the columns with the fewest other elements.
 
-    Specimen, for atoms:
-        zone, up, repeat: see :class:`SimulationOptions`. By default the box is as wide as the engine needs.
+    Specimen:
+        zone, up, repeat: for atoms, see :class:`SimulationOptions`. By default the box is as wide as the engine needs.
 
-    Specimen, microscope and numerics:
-        sigma, temperature_k, seed, energy_kv, semiangle_mrad, defocus_angstrom, aberrations, tilt_mrad, focal_spread_angstrom,
-            source_size_angstrom, source_lorentz, detectors, engine, window_angstrom: see :class:`SimulationOptions`. Default: the values of
-            the recipe. Without an engine, windows with an error of 0.8 % are used, and multislice if a detector begins below two semiangles.
+    Microscope:
+        sigma, temperature_k, seed, energy_kv, semiangle_mrad, defocus_angstrom: see :class:`SimulationOptions`. Default: values of the recipe.
+        aberrations, tilt_mrad, focal_spread_angstrom, source_size_angstrom: likewise.
+        source_lorentz, detectors: likewise.
+        engine, window_angstrom: see :class:`SimulationOptions`. Default: windows with an error of 0.8 %, and multislice if a detector begins
+            below two semiangles.
         force: continue if the simulation needs more memory than is free.
 
     Running:
