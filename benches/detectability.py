@@ -1,6 +1,6 @@
 """The map of detectability of docs/detectability.md: the dose at which a defect is found, for materials, thicknesses and detectors.
 
-    python benches/detectability.py map.jsonl              # some 15 minutes on two cores
+    python benches/detectability.py map.jsonl              # some 5 minutes on two cores
     python benches/detectability.py map.jsonl --table      # the tables of the page, from the lines of the file
 
 Each line of the file is one case as JSON: material, defect, thickness, detectors with their needed doses, best annulus. Cases that the file
