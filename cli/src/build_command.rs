@@ -217,6 +217,9 @@ impl Build {
         if self.common.dry_run {
             stemgen::simulation::check_hdf5_name(&path)?;
             let report = WorldPlan::new(&recipe, &build, path)?;
+            if reporter.interrupted() {
+                return Err(stemgen::Error::Interrupted.into());
+            }
             self.common.print(&report, &world_plan_text::text_of(&report))?;
             return Ok(0);
         }

@@ -233,7 +233,7 @@ fn hit(mut command: Command, signal: &str, random: &mut impl Rng) -> Output {
 }
 
 /// Sends a signal to a process that may have ended, but was not waited for.
-pub fn send(child: &Child, signal: &str) {
+fn send(child: &Child, signal: &str) {
     let id = child.id().to_string();
     let _ = Command::new("kill").args([signal, &id]).stderr(Stdio::null()).status().unwrap();
 }
