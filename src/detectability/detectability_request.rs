@@ -165,7 +165,7 @@ impl DetectabilityRequest {
         request.specimen.seed = recipe.seed;
         request.specimen.sigma_angstrom =
             Some(SigmaChoice::ByElement(recipe.phonons.sigma_angstrom.clone()));
-        request.microscope = microscope(recipe);
+        request.microscope = MicroscopeRequest::of_recipe(recipe);
         Ok(request)
     }
 
@@ -280,26 +280,6 @@ fn usual_defect(recipe: &Recipe) -> Result<Option<(AskedDefect, f64)>> {
     match &recipe.substitutions {
         Some(s) => known(format!("substitution:{}:{}", s.element, s.by), s.rate),
         None => Ok(None),
-    }
-}
-
-fn microscope(recipe: &Recipe) -> MicroscopeRequest {
-    let optics = recipe.optics.optics();
-    let source = recipe.optics.source();
-    let mut aberrations = optics.aberrations.0;
-    // The request holds the defocus separately.
-    aberrations.retain(|a| (a.order, a.symmetry) != (1, 0));
-    MicroscopeRequest {
-        energy_kev: recipe.optics.energy_kv,
-        semiangle_mrad: optics.semiangle_mrad,
-        defocus_angstrom: vec![recipe.optics.defocus_angstrom],
-        aberrations,
-        tilt_mrad: optics.mistilt_mrad,
-        focal_spread_angstrom: optics.focal_spread_angstrom,
-        source_size_angstrom: source.map(|source| source.fwhm_angstrom),
-        source_lorentz_share: source.map_or(0.0, |source| source.lorentz_share),
-        detectors: recipe.detector.all(),
-        allow_empty_angles: false,
     }
 }
 

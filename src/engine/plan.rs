@@ -37,12 +37,9 @@ pub struct Plan {
     pub band_limit_mrad: f64,
     /// Slices.
     pub slices: Slices,
-    /// Whether each window puts slices at the heights of the atoms near its middle.
+    /// How the specimen is cut, with [`Slicing::Auto`] replaced by the slices that it stands for.
     #[serde(skip)]
-    pub local_slices: bool,
-    /// Whether atoms near each other along the beam share a slice.
-    #[serde(skip)]
-    pub group_slices: bool,
+    pub slicing: Slicing,
     /// Indices of the slices after which images are recorded (0-based, increasing). The last is usually the last slice.
     pub record_after: Vec<usize>,
     /// Number of plane waves propagated with PRISM, 0 with other algorithms.
@@ -106,8 +103,7 @@ impl Plan {
             band_limit_mrad: (band_limit - settings.band_taper * grid.nyquist()) * wavelength * 1e3,
             record_after,
             slices,
-            local_slices: matches!(slicing, Slicing::Local(_)),
-            group_slices: matches!(slicing, Slicing::Grouped(_)),
+            slicing,
             beams: 0,
             exit_grid: None,
             warnings,
@@ -131,7 +127,8 @@ impl Plan {
 
     /// A warning about slices that were left open and are coarser than the slices of the exact engine.
     pub fn coarse_slices(&self) -> Option<String> {
-        let coarse = self.settings.slicing == Slicing::Auto && self.group_slices;
+        let coarse = self.settings.slicing == Slicing::Auto
+            && self.slicing == Slicing::Grouped(GROUP_ANGSTROM);
         coarse.then(|| {
             format!(
                 "the atoms form no planes: atoms within {GROUP_ANGSTROM} A along the beam share a slice, which was found to change dark-field images \
@@ -143,6 +140,11 @@ impl Plan {
     /// Whether waves are propagated in windows instead of the whole cell.
     pub fn has_windows(&self) -> bool {
         self.wave_grid != self.transmission_grid
+    }
+
+    /// Whether each window puts slices at the heights of the atoms near its middle.
+    pub(super) fn has_local_slices(&self) -> bool {
+        self.has_windows() && matches!(self.slicing, Slicing::Local(_))
     }
 
     /// Displacement (x, y) of the beam in Angstrom at a height in Angstrom, caused by the mistilt from the entrance surface on.
@@ -418,12 +420,12 @@ mod tests {
         };
         let windows = Algorithm::Window { width_angstrom: 7.8 };
         let local = plan(windows, &none);
-        assert!(local.local_slices && local.coarse_slices().is_none());
+        assert!(local.has_local_slices() && local.coarse_slices().is_none());
         let whole = plan(Algorithm::Multislice, &none);
-        assert!(!whole.local_slices && whole.coarse_slices().unwrap().contains("0.1 A"));
+        assert!(!whole.has_local_slices() && whole.coarse_slices().unwrap().contains("0.1 A"));
         for algorithm in [windows, Algorithm::Multislice] {
             let planes = plan(algorithm, &heights());
-            assert!(!planes.local_slices && planes.coarse_slices().is_none());
+            assert!(!planes.has_local_slices() && planes.coarse_slices().is_none());
             assert_eq!(planes.slices.len(), 20);
         }
     }

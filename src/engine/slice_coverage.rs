@@ -131,7 +131,7 @@ impl SliceCoverage {
         };
         let slices = by_slice.iter().zip(&plan.slices.planes).map(sorted).collect();
         let spread = plan.settings.projection == Projection::Finite;
-        let local = plan.has_windows() && plan.local_slices;
+        let local = plan.has_local_slices();
         let planes = plan.slices.planes.clone();
         let record_after = plan.record_after.clone();
         let window = plan.wave_grid.points;

@@ -11,7 +11,7 @@ use crate::acquisition::{Acquisition, Exposure, Profile, ScanFrame, ScanPath};
 use crate::error::{Error, Result};
 use crate::imaging::displaced_atoms::mean_atoms;
 use crate::progress::Progress;
-use crate::recipe::{OpticsTable, Recipe, Region};
+use crate::recipe::Region;
 use crate::setting::Setting;
 use crate::simulation::{
     AtomsSource, LengthUnit, MicroscopeRequest, PatternBand, PatternsRequest, ScanRequest,
@@ -139,7 +139,7 @@ impl LiveWorld {
     ) -> SimulationRequest {
         let recipe = self.recipe();
         let thickness_angstrom = 10.0 * self.specimen_thickness_nm();
-        let microscope = microscope(recipe);
+        let microscope = MicroscopeRequest::of_recipe(recipe);
         let window = pattern_window_angstrom(&microscope, thickness_angstrom);
         let margin_nm = 0.1 * (0.5 * window + POTENTIAL_REACH_ANGSTROM);
         let area = probes(frame).grown(margin_nm);
@@ -187,21 +187,4 @@ impl LiveWorld {
 fn probes(frame: &ScanFrame) -> Region {
     let last = |k: usize| frame.origin_nm[k] + (frame.shape[1 - k] as f64 - 1.0) * frame.pixel_nm;
     Region { x: [frame.origin_nm[0], last(0)], y: [frame.origin_nm[1], last(1)] }
-}
-
-/// The lens and the source of a recipe.
-fn microscope(recipe: &Recipe) -> MicroscopeRequest {
-    let table = &recipe.optics;
-    let in_focus = OpticsTable { defocus_angstrom: 0.0, ..table.clone() };
-    MicroscopeRequest {
-        energy_kev: table.energy_kv,
-        semiangle_mrad: table.convergence_mrad,
-        defocus_angstrom: vec![table.defocus_angstrom],
-        aberrations: in_focus.optics().aberrations.0,
-        tilt_mrad: table.mistilt_mrad,
-        focal_spread_angstrom: table.focal_spread_angstrom,
-        source_size_angstrom: table.source().map(|source| source.fwhm_angstrom),
-        source_lorentz_share: table.source_lorentz_share,
-        ..MicroscopeRequest::default()
-    }
 }

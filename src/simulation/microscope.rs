@@ -7,6 +7,7 @@ use crate::detect::Detector;
 use crate::engine::{Settings, Source};
 use crate::error::{Error, Result};
 use crate::optics::{Aberration, Aberrations, Optics};
+use crate::recipe::Recipe;
 use crate::setting::Setting;
 
 /// The lens, the source and the detectors.
@@ -56,6 +57,28 @@ impl Default for MicroscopeRequest {
 }
 
 impl MicroscopeRequest {
+    /// The lens, the source and the detectors of a recipe.
+    pub fn of_recipe(recipe: &Recipe) -> Self {
+        let optics = recipe.optics.optics();
+        let source = recipe.optics.source();
+        // The request holds the defocus separately, which a recipe may also give as C10.
+        let defocus_angstrom = vec![optics.aberrations.defocus_angstrom()];
+        let mut aberrations = optics.aberrations.0;
+        aberrations.retain(|a| (a.order, a.symmetry) != (1, 0));
+        MicroscopeRequest {
+            energy_kev: recipe.optics.energy_kv,
+            semiangle_mrad: optics.semiangle_mrad,
+            defocus_angstrom,
+            aberrations,
+            tilt_mrad: optics.mistilt_mrad,
+            focal_spread_angstrom: optics.focal_spread_angstrom,
+            source_size_angstrom: source.map(|source| source.fwhm_angstrom),
+            source_lorentz_share: source.map_or(0.0, |source| source.lorentz_share),
+            detectors: recipe.detector.all(),
+            allow_empty_angles: false,
+        }
+    }
+
     /// The source; `None` for a point.
     pub fn source(&self) -> Option<Source> {
         let lorentz_share = self.source_lorentz_share;

@@ -373,7 +373,7 @@ impl Search<'_> {
 
 /// Error of a plan's slices in per cent of the mean that the sample may not see.
 fn slices_percent(plan: &Plan) -> f64 {
-    if plan.local_slices { LOCAL_SLICES_PERCENT } else { 0.0 }
+    if plan.has_local_slices() { LOCAL_SLICES_PERCENT } else { 0.0 }
 }
 
 fn width(settings: &Settings) -> f64 {
