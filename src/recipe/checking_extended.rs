@@ -25,7 +25,7 @@ const SAME_ANGSTROM: f64 = 0.1;
 const NEAR_REPEAT: f64 = 0.12;
 
 /// Returns the key of a value of a fault, dislocation or precipitate, which count from 1.
-fn item_key(list: &str, index: usize, name: &str) -> String {
+pub fn item_key(list: &str, index: usize, name: &str) -> String {
     format!("stack.{list}[{}].{name}", index + 1)
 }
 
@@ -49,7 +49,7 @@ fn crystal_of<'l>(
     }
 }
 
-fn check_place(key: &str, at: [f64; 2], field: &Field) -> Checked {
+pub fn check_place(key: &str, at: [f64; 2], field: &Field) -> Checked {
     let region = field.full_region().grown(FARTHEST_NM);
     within(key, at[0], region.x[0], region.x[1])?;
     within(key, at[1], region.y[0], region.y[1])

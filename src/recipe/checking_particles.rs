@@ -1,7 +1,7 @@
 //! Limits of a recipe for particles on carbon.
 
 use super::checking_defects::check_defects;
-use super::fault::{Checked, crystal_fault, fault, needed, within};
+use super::fault::{Checked, Fault, crystal_fault, fault, needed, within};
 use super::oriented_crystals::OrientedCrystals;
 use super::resolved_recipe::Recipe;
 use super::tables::Particles;
@@ -23,7 +23,7 @@ pub fn check_particles(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String
     let particles = needed("particles", recipe.particles.as_ref())?;
     let structure = recipe.crystal.structure().map_err(|e| crystal_fault("crystal", e))?;
     let (number, metal) = Metal::of(&structure, particles.surface_energy_ratio)
-        .map_err(|e| crystal_fault("crystal", e))?;
+        .map_err(|e| other_crystal(crystal_fault("crystal", e)))?;
     check_film(recipe.field.thickness_nm)?;
     check_sizes(particles, recipe)?;
     let mut symbols = vec![elements::symbol(number).to_owned()];
@@ -37,6 +37,12 @@ pub fn check_particles(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String
     symbols.sort();
     symbols.dedup();
     Ok((OrientedCrystals::Particles { number, metal }, symbols))
+}
+
+/// Adds where particles of other crystals are made.
+fn other_crystal(mut fault: Fault) -> Fault {
+    fault.expected.push_str("; structure = \"stack\" makes particles of any crystal ([[stack.particles]])");
+    fault
 }
 
 fn check_film(thickness_nm: f64) -> Checked {

@@ -7,13 +7,17 @@ use super::atoms_table::NO_CRYSTAL;
 use super::checking_amorphous::packing;
 use super::checking_extended::{check_dislocations, check_faults, check_precipitates};
 use super::checking_interfaces::{check_exchange, check_roughness};
+use super::checking_stack_particles::check_stack_particles;
 use super::fault::{Checked, crystal_fault, fault, needed, within};
 use super::limits::BEYOND_FIELD_NM;
 use super::oriented_crystals::{OrientedCrystals, oriented_box};
 use super::resolved_recipe::Recipe;
-use super::stack_table::{DEFAULT_POISSON_RATIO, LayerFit, MOST_PARTS, StackLayer, StackTable};
+use super::stack_table::{
+    DEFAULT_POISSON_RATIO, LayerFit, MOST_PARTS, StackDirection, StackLayer, StackTable,
+};
 use super::stacked_crystals::{
-    FittedCrystal, PlacedPrecipitate, StackedCrystals, StackedLayer, StackedMatter,
+    CheckedParticles, FittedCrystal, PlacedPrecipitate, StackedCrystals, StackedLayer,
+    StackedMatter,
 };
 use super::tables::Field;
 use crate::models::stack::atomic_planes::{AtomicPlane, atomic_planes, parse_formula};
@@ -51,6 +55,7 @@ pub fn check_stack(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> 
     let table = needed("stack", recipe.stack.as_ref())?;
     within("field.thickness_nm", recipe.field.thickness_nm, 0.2, THICKEST_NM)?;
     within("stack.max_strain", table.max_strain, 0.0, 0.2)?;
+    check_begin(table, &recipe.field)?;
     check_numbers(table)?;
     for (n, layer) in table.layers.iter().enumerate() {
         check_layer(table, n, layer)?;
@@ -64,10 +69,11 @@ pub fn check_stack(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> 
     check_faults(table, &mut layers, &recipe.field)?;
     let dislocations = check_dislocations(table, &layers, &recipe.field)?;
     let precipitates = check_precipitates(table, &recipe.field)?;
+    let particles = check_stack_particles(table, &recipe.field)?;
     check_atoms(&layers, end, table, &recipe.field)?;
-    let (least, symbols) = distances_and_elements(&layers, &precipitates);
+    let (least, symbols) = distances_and_elements(&layers, &precipitates, &particles);
     let phases = table.phases();
-    let stack = StackedCrystals { phases, layers, end, dislocations, precipitates, least };
+    let stack = StackedCrystals { phases, layers, end, dislocations, precipitates, particles, least };
     Ok((OrientedCrystals::Stack(Arc::new(stack)), symbols))
 }
 
@@ -75,13 +81,15 @@ pub fn check_stack(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> 
 fn distances_and_elements(
     layers: &[StackedLayer],
     precipitates: &[PlacedPrecipitate],
+    particles: &[CheckedParticles],
 ) -> (LeastDistances, Vec<String>) {
     let boxes = || {
         let of_layers = layers.iter().filter_map(|layer| match &layer.matter {
             StackedMatter::Crystal(crystal) => Some(&crystal.structure),
             StackedMatter::Amorphous(_) => None,
         });
-        of_layers.chain(precipitates.iter().map(|p| &p.crystal.structure))
+        let of_precipitates = precipitates.iter().map(|p| &p.crystal.structure);
+        of_layers.chain(of_precipitates).chain(particles.iter().map(|p| &p.structure))
     };
     let glasses = layers.iter().filter_map(|layer| match &layer.matter {
         StackedMatter::Amorphous(packing) => Some(packing),
@@ -95,12 +103,26 @@ fn distances_and_elements(
     (least, symbols)
 }
 
+fn check_begin(table: &StackTable, field: &Field) -> Checked {
+    match table.along {
+        StackDirection::Z => {
+            within("stack.begin_nm", table.begin_nm, 0.0, field.thickness_nm - THINNEST_NM)
+        }
+        _ if table.begin_nm != 0.0 => {
+            let expected = "only a stack along z has vacuum before its first layer; leave it out, or give along = \"z\"";
+            fault("stack.begin_nm", table.begin_nm, expected)
+        }
+        _ => Ok(()),
+    }
+}
+
 fn check_numbers(table: &StackTable) -> Checked {
     let lists = [
         ("stack.layers", table.layers.len(), 1),
         ("stack.faults", table.faults.len(), 0),
         ("stack.dislocations", table.dislocations.len(), 0),
         ("stack.precipitates", table.precipitates.len(), 0),
+        ("stack.particles", table.particles.len(), 0),
     ];
     for (key, count, least) in lists {
         if !(least..=MOST_PARTS).contains(&count) {
@@ -311,13 +333,13 @@ fn heights(table: &StackTable, field: &Field) -> Checked<(Vec<f64>, f64)> {
     Ok((nominal, if open { beyond } else { at }))
 }
 
-/// Returns where the field begins and ends along the stack, in Angstrom.
+/// Returns where the stack begins and the field ends along it, in Angstrom.
 pub fn extent(table: &StackTable, field: &Field) -> [f64; 2] {
     let region = field.full_region();
     let nm = match table.along.axis() {
         0 => region.x,
         1 => region.y,
-        _ => [0.0, field.thickness_nm],
+        _ => [table.begin_nm, field.thickness_nm],
     };
     nm.map(|nm| PER_NM * nm)
 }
@@ -429,7 +451,7 @@ fn check_atoms(layers: &[StackedLayer], end: f64, table: &StackTable, field: &Fi
         table.along.in_plane().iter().map(|k| lengths[*k][1] - lengths[*k][0]).product();
     let mut atoms = 0.0;
     for (n, layer) in layers.iter().enumerate() {
-        let begin = if n == 0 { lengths[axis][0] } else { layer.begin };
+        let begin = if n == 0 && axis != 2 { lengths[axis][0] } else { layer.begin };
         let stop = layers.get(n + 1).map_or(end.min(lengths[axis][1]), |next| next.begin);
         let density = match &layer.matter {
             StackedMatter::Crystal(crystal) => crystal.density(),

@@ -14,6 +14,7 @@ mod checking_extended;
 mod checking_interfaces;
 mod checking_particles;
 mod checking_stack;
+mod checking_stack_particles;
 pub mod crystal_source;
 pub mod detector_tables;
 pub mod difficulty;

@@ -51,6 +51,9 @@ pub struct StackTable {
     /// Largest strain, in the plane of the interfaces, of a layer that is made to fit the first crystal: 0.02 is two per cent.
     #[serde(default = "default_max_strain")]
     pub max_strain: f64,
+    /// Height at which the first layer of a stack along z begins, in nm from the entrance face: vacuum in which particles have room.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub begin_nm: f64,
     /// The layers, in the order of their positions.
     pub layers: Vec<StackLayer>,
     /// Twin boundaries, stacking faults and antiphase boundaries.
@@ -62,10 +65,17 @@ pub struct StackTable {
     /// Crystals inside the layers.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub precipitates: Vec<Precipitate>,
+    /// Particles on the layers of a stack along z.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub particles: Vec<StackParticles>,
 }
 
 fn default_max_strain() -> f64 {
     0.02
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// How a layer fits the first crystal of the stack.
@@ -239,24 +249,120 @@ pub struct Precipitate {
     pub turn_deg: f64,
 }
 
+/// Shapes of particles on layers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ParticleShape {
+    /// The polyhedron of least surface energy of its volume.
+    #[default]
+    Wulff,
+    /// A sphere.
+    Sphere,
+    /// An icosahedron of a face-centred cubic metal.
+    Icosahedral,
+    /// A decahedron of a face-centred cubic metal.
+    Decahedral,
+}
+
+impl ParticleShape {
+    /// Returns the name that recipes and files use.
+    pub fn name(self) -> &'static str {
+        match self {
+            ParticleShape::Wulff => "wulff",
+            ParticleShape::Sphere => "sphere",
+            ParticleShape::Icosahedral => "icosahedral",
+            ParticleShape::Decahedral => "decahedral",
+        }
+    }
+}
+
+/// The face of the layers on which particles lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ParticleSide {
+    /// Where the beam enters.
+    #[default]
+    Entrance,
+    /// Where the beam leaves.
+    Exit,
+}
+
+/// Particles of one crystal on the layers of a stack along z.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StackParticles {
+    /// Name of their phase; by default the name of the crystal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// The crystal.
+    pub crystal: CrystalSource,
+    /// Shape.
+    #[serde(default)]
+    pub shape: ParticleShape,
+    /// Surface energies of families of planes, `{ "(111)" = 1.28, "(100)" = 1.63 }`, in J/m2; only their ratios count.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub surface_energies: BTreeMap<String, f64>,
+    /// Least and greatest diameter in nm, of a sphere that as many atoms fill; diameters between them are equally frequent.
+    pub diameter_nm: [f64; 2],
+    /// Number of particles at random places; 1 by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub count: Option<usize>,
+    /// Places (x, y) in nm of the particles, instead of random ones.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub positions_nm: Vec<[f64; 2]>,
+    /// Least distance in nm between the circles around two particles.
+    #[serde(default = "default_gap_nm")]
+    pub gap_nm: f64,
+    /// The face of the layers on which they lie.
+    #[serde(default)]
+    pub side: ParticleSide,
+    /// Direction of the crystal along the beam; any orientation without it and `contact_plane`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub zone_axis: Option<String>,
+    /// Plane of the crystal that lies on the layer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contact_plane: Option<String>,
+    /// Direction of the crystal along +y; any rotation about the beam when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub y_axis: Option<String>,
+    /// Largest angle in degrees between the beam and the zone axis.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_tilt_deg: Option<f64>,
+    /// Energy of the interface less the surface energy of the layer, in the unit of `surface_energies`: the particle is cut at the contact
+    /// plane as if this were the energy of a facet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contact_energy: Option<f64>,
+    /// Distance in Angstrom from each particle to the nearest atom of the layer; by default the mean of the shortest distances of both
+    /// elements in their own crystals.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contact_angstrom: Option<f64>,
+}
+
+fn default_gap_nm() -> f64 {
+    0.5
+}
+
 impl StackTable {
     /// Returns all crystals that the table names.
     pub fn crystals(&self) -> impl Iterator<Item = &CrystalSource> {
         let layers = self.layers.iter().filter_map(|layer| layer.crystal.as_ref());
-        layers.chain(self.precipitates.iter().map(|p| &p.crystal))
+        let precipitates = self.precipitates.iter().map(|p| &p.crystal);
+        layers.chain(precipitates).chain(self.particles.iter().map(|p| &p.crystal))
     }
 
     /// Returns all crystals that the table names, to read their files.
     pub(super) fn crystals_mut(&mut self) -> impl Iterator<Item = &mut CrystalSource> {
         let layers = self.layers.iter_mut().filter_map(|layer| layer.crystal.as_mut());
-        layers.chain(self.precipitates.iter_mut().map(|p| &mut p.crystal))
+        let precipitates = self.precipitates.iter_mut().map(|p| &mut p.crystal);
+        layers.chain(precipitates).chain(self.particles.iter_mut().map(|p| &mut p.crystal))
     }
 
-    /// Returns the names of the phases: of the layers in their order, then of the precipitates, each name once.
+    /// Returns the names of the phases: of the layers in their order, then of precipitates and particles, each name once.
     pub fn phases(&self) -> Vec<String> {
         let mut names: Vec<String> = Vec::new();
         let all = self.layers.iter().map(StackLayer::phase);
-        for name in all.chain(self.precipitates.iter().map(Precipitate::phase)) {
+        let all = all.chain(self.precipitates.iter().map(Precipitate::phase));
+        for name in all.chain(self.particles.iter().map(StackParticles::phase)) {
             if !names.contains(&name) {
                 names.push(name);
             }
@@ -284,5 +390,17 @@ impl Precipitate {
     /// Returns the name of the phase of the precipitate.
     pub fn phase(&self) -> String {
         self.name.clone().unwrap_or_else(|| crystal_name(&self.crystal))
+    }
+}
+
+impl StackParticles {
+    /// Returns the name of the phase of the particles.
+    pub fn phase(&self) -> String {
+        self.name.clone().unwrap_or_else(|| crystal_name(&self.crystal))
+    }
+
+    /// Returns the number of particles.
+    pub fn number(&self) -> usize {
+        if self.positions_nm.is_empty() { self.count.unwrap_or(1) } else { self.positions_nm.len() }
     }
 }

@@ -2,6 +2,9 @@
 //! from the centre of the first pixel of the full field, z from the entrance face.
 
 use super::stack_table::FaultKind;
+use crate::models::particles::facets::Polyhedron;
+use crate::models::particles::rotation::Rotation;
+use crate::models::particles::{Metal, Morphology};
 use crate::models::stack::edge_dislocation::EdgeDislocation;
 use crate::models::stack::fault_planes::FaultPlane;
 use crate::models::stack::least_distances::LeastDistances;
@@ -114,6 +117,48 @@ pub struct PlacedPrecipitate {
     pub crystal: FittedCrystal,
 }
 
+/// The outline of particles before they have a size.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ParticleForm {
+    /// A polyhedron whose size is to be chosen, in the axes of the crystal; of unit volume.
+    Wulff(Polyhedron),
+    /// A sphere.
+    Sphere,
+    /// A cluster of a face-centred cubic metal.
+    Cluster(Morphology, Metal),
+}
+
+/// How particles are turned.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ParticleOrientation {
+    /// Any orientation.
+    Any,
+    /// One of the zone axes of a cluster along the beam, to within an angle in degrees.
+    ZoneAxes(f64),
+    /// A rotation from the axes of the crystal to the axes of the field.
+    Axis {
+        /// The rotation.
+        rotation: Rotation,
+        /// Whether any rotation about the beam follows it.
+        turned: bool,
+        /// Largest angle in degrees by which the particles are tilted.
+        max_tilt_deg: f64,
+    },
+}
+
+/// Particles on layers, before they are made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CheckedParticles {
+    /// Index of their phase in [`StackedCrystals::phases`].
+    pub phase: usize,
+    /// Their crystal.
+    pub structure: Structure,
+    /// Their outline.
+    pub form: ParticleForm,
+    /// How they are turned.
+    pub orientation: ParticleOrientation,
+}
+
 /// The layers of a stack and their defects, in their places.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StackedCrystals {
@@ -127,6 +172,8 @@ pub struct StackedCrystals {
     pub dislocations: Vec<EdgeDislocation>,
     /// The precipitates, as the recipe lists them.
     pub precipitates: Vec<PlacedPrecipitate>,
+    /// The particles, as the recipe lists them.
+    pub particles: Vec<CheckedParticles>,
     /// Least distances of atoms.
     pub least: LeastDistances,
 }

@@ -40,6 +40,30 @@ pub struct OwnAtoms {
     extent: Region,
     facts: SpecimenFacts,
     boundaries: Vec<Boundary>,
+    particles: Vec<HeldParticle>,
+}
+
+/// A particle of a specimen that is held in memory.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HeldParticle {
+    /// What the ground truth lists.
+    pub truth: ParticleTruth,
+    /// Index of its phase.
+    pub phase: usize,
+    /// Corners (x, y) in nm of its projection along the beam, which is convex, from +x to +y about it.
+    pub shadow_nm: Vec<[f64; 2]>,
+}
+
+impl HeldParticle {
+    /// Whether a point (x, y) in nm lies in the projection of the particle.
+    fn covers(&self, [x, y]: [f64; 2]) -> bool {
+        let corners = &self.shadow_nm;
+        corners.len() > 2
+            && (0..corners.len()).all(|k| {
+                let [a, b] = [corners[k], corners[(k + 1) % corners.len()]];
+                (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) >= 0.0
+            })
+    }
 }
 
 /// A site in the field, and its phase.
@@ -88,6 +112,13 @@ impl OwnAtoms {
         Ok(Self::in_columns(with_keys(sites), extent, facts, boundaries))
     }
 
+    /// Adds the particles whose atoms are among the sites.
+    pub(super) fn with_particles(mut self, particles: Vec<HeldParticle>) -> Self {
+        self.facts.particle_outlines = particles.iter().map(|p| p.truth.outline()).collect();
+        self.particles = particles;
+        self
+    }
+
     /// Finds the columns of sites that are sorted by depth.
     fn in_columns(
         sites: Vec<PlacedSite>,
@@ -119,6 +150,7 @@ impl OwnAtoms {
             extent,
             facts,
             boundaries,
+            particles: Vec::new(),
         };
         for column in order {
             let row = of_row(kept[column as usize]);
@@ -258,10 +290,13 @@ impl SpecimenLayout for OwnAtoms {
         self.boundaries.clone()
     }
 
-    /// Returns the phase of the nearest column.
+    /// Returns the phase of the particle that covers the point, or else of the nearest column.
     fn phase_at(&self, position_nm: [f64; 2]) -> usize {
         if self.facts.phases.is_empty() {
             return 0;
+        }
+        if let Some(particle) = self.particles.iter().find(|p| p.covers(position_nm)) {
+            return particle.phase;
         }
         let column = self.grid.nearest(&self.positions_nm, position_nm);
         column.map_or(0, |column| usize::from(self.phases[column]))
@@ -271,8 +306,9 @@ impl SpecimenLayout for OwnAtoms {
         None
     }
 
-    fn particles_reaching(&self, _: &Region) -> Vec<ParticleTruth> {
-        Vec::new()
+    fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
+        let reaching = |p: &&HeldParticle| p.truth.outline().reaches(region);
+        self.particles.iter().filter(reaching).map(|p| p.truth.clone()).collect()
     }
 }
 

@@ -19,9 +19,11 @@ use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
 use crate::recipe::tables::Particles;
-use crate::rng::{Purpose, uniform, words};
+use crate::rng::{Purpose, uniform};
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::defects::rules::{Defects, LocalDefects};
+use crate::specimen::particle_orientation::near_zone_axis;
+use crate::specimen::scattered_circles::{NoPlace, scattered};
 use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
 use crate::specimen::specimen_trait::{
     Boundary, ExpectedSites, ParticleOutline, ParticleTruth, Specimen, SpecimenFacts,
@@ -39,8 +41,6 @@ const ROW_STRAIN: f64 = 0.1;
 
 /// Vacuum above the highest particle and below the film, in Angstrom.
 const VACUUM: f64 = 1.0;
-/// Number of places tried for a particle.
-const TRIES: u64 = 100_000;
 const NM: f64 = 0.1;
 /// Bit that is set in the keys of particles' atoms.
 const PARTICLE_KEY: u64 = 1 << 60;
@@ -77,8 +77,6 @@ struct PlacedParticle {
 /// Numbers of the random draws for particles.
 mod draw {
     pub const DIAMETER: u32 = 0;
-    pub const ORIENTATION: u32 = 1;
-    pub const PLACE: u32 = 2;
 }
 
 impl ParticlesOnCarbon {
@@ -290,7 +288,7 @@ impl PlacedParticle {
             );
             Error::invalid(crate::Setting::ParticleDiameterNm, format!("[{low}, {high}]"), expected)
         })?;
-        let rotation = orientation(morphology, table.max_tilt_deg, seed, index as u64);
+        let rotation = near_zone_axis(morphology, table.max_tilt_deg, seed, index as u64);
         let mut atoms: Vec<[f64; 3]> =
             cluster.positions.iter().map(|&p| rotation.apply(p)).collect();
         let rows = rows(&mut atoms, metal.a);
@@ -345,22 +343,6 @@ impl PlacedParticle {
         }
         height
     }
-}
-
-/// Draws a zone axis within `max_tilt_deg` of the beam and any rotation about it; from 90 degrees on, any orientation.
-fn orientation(morphology: Morphology, max_tilt_deg: f64, seed: u64, index: u64) -> Rotation {
-    let unit = |w: u32| (f64::from(w) + 0.5) / 4_294_967_296.0;
-    let [a, b, c, tilted] = words(seed, Purpose::Particle, draw::ORIENTATION, index).map(unit);
-    if max_tilt_deg >= 90.0 {
-        return Rotation::uniform([a, b, c]);
-    }
-    let axis = morphology.zone_axes()[((3.0 * a) as usize).min(2)];
-    let turn = |v: f64| 2.0 * std::f64::consts::PI * v;
-    // Directions are uniform on the cap of the sphere.
-    let cosine = 1.0 - tilted * (1.0 - libm::cos(max_tilt_deg.to_radians()));
-    let direction = [libm::cos(turn(c)), libm::sin(turn(c)), 0.0];
-    let tilt = Rotation::about(direction, libm::acos(cosine));
-    tilt.after(Rotation::about([0.0, 0.0, 1.0], turn(b))).after(Rotation::to_z(axis))
 }
 
 /// Sorts the atoms by rows along the beam, each by ascending z, and returns the rows.
@@ -461,48 +443,23 @@ fn push_row(row: Range<usize>, atoms: &[[f64; 3]], rows: &mut Vec<Range<usize>>)
     push_row(middle..row.end, atoms, rows);
 }
 
-/// Places the particles at random in the field, the largest first, so that their circles keep the gap.
+/// Places the particles at random in the field.
 fn place(
     particles: &mut [PlacedParticle],
     field: &Region,
     table: &Particles,
     seed: u64,
 ) -> Result<()> {
-    let mut order: Vec<usize> = (0..particles.len()).collect();
-    order.sort_by(|&i, &j| particles[j].radius.total_cmp(&particles[i].radius).then(i.cmp(&j)));
-    let mut placed: Vec<usize> = Vec::new();
-    for &index in &order {
-        let radius = particles[index].radius;
-        let free = |centre: &[f64; 2]| {
-            placed.iter().all(|&other| {
-                let other = &particles[other];
-                let room = radius + other.radius + table.gap_nm / NM;
-                let d = [0, 1].map(|k| centre[k] - other.centre[k]);
-                d[0] * d[0] + d[1] * d[1] > room * room
-            })
-        };
-        let centre = |attempt: u64| {
-            let w = words(seed, Purpose::Particle, draw::PLACE, (index as u64) << 32 | attempt);
-            let within = |range: [f64; 2], w: u32| {
-                let [low, high] = range.map(|v| v / NM);
-                low + radius + (high - low - 2.0 * radius) * (f64::from(w) + 0.5) / 4_294_967_296.0
-            };
-            [within(field.x, w[0]), within(field.y, w[1])]
-        };
-        let inside = [field.x, field.y].iter().all(|r| (r[1] - r[0]) / NM > 2.0 * radius);
-        let tries = if inside { 0..TRIES } else { 0..0 };
-        let Some(found) = tries.map(centre).find(|c| free(c)) else {
-            let expected = format!(
-                "after {} particles no place was found for another with a diameter of {:.2} nm, {} nm from the others; lower the number, \
-                 particles.diameter_nm or particles.gap_nm, or raise field.fov_nm",
-                placed.len(),
-                particles[index].diameter_nm,
-                table.gap_nm
-            );
-            return Err(Error::invalid(crate::Setting::ParticleCount, table.count, expected));
-        };
-        particles[index].centre = found;
-        placed.push(index);
-    }
+    let radii: Vec<f64> = particles.iter().map(|p| p.radius).collect();
+    let centres = scattered(&radii, &[], field, table.gap_nm / NM, (seed, 0));
+    let centres = centres.map_err(|NoPlace { index, placed }| {
+        let expected = format!(
+            "after {placed} particles no place was found for another with a diameter of {:.2} nm, {} nm from the others; lower the number, \
+             particles.diameter_nm or particles.gap_nm, or raise field.fov_nm",
+            particles[index].diameter_nm, table.gap_nm
+        );
+        Error::invalid(crate::Setting::ParticleCount, table.count, expected)
+    })?;
+    particles.iter_mut().zip(centres).for_each(|(particle, centre)| particle.centre = centre);
     Ok(())
 }

@@ -38,5 +38,6 @@ mod specimen;
 mod specimens;
 mod stack;
 mod stack_defects;
+mod stack_particles;
 mod tiles;
 mod truth;

@@ -1,10 +1,14 @@
-//! Nanoparticles of face-centred cubic metals: Wulff polyhedra, icosahedra and decahedra.
+//! Nanoparticles: Wulff polyhedra and spheres of any crystal ([`crystal_particle`]), and Wulff polyhedra, icosahedra and decahedra of
+//! face-centred cubic metals.
 //!
 //! Among all clusters of a shape whose diameter is near enough to the requested one, the cluster with the least surface energy is chosen
 //! ([`build`]). The diameter of N atoms is the diameter of a sphere of the bulk metal with N atoms.
 
+pub mod crystal_particle;
 mod decahedron;
+pub mod facets;
 mod icosahedron;
+mod point_group;
 pub mod rotation;
 mod wulff;
 

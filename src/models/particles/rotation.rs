@@ -8,6 +8,9 @@ use crate::structure::lattice::{cross, dot, norm};
 pub struct Rotation(pub [f64; 4]);
 
 impl Rotation {
+    /// Turns nothing.
+    pub const NONE: Self = Rotation([1.0, 0.0, 0.0, 0.0]);
+
     /// Rotation by `angle` radian about `axis` (of any length).
     pub fn about(axis: Vec3, angle: f64) -> Self {
         let scale = libm::sin(0.5 * angle) / norm(axis);
@@ -43,6 +46,12 @@ impl Rotation {
             w * c - x * d + y * a + z * b,
             w * d + x * c - y * b + z * a,
         ])
+    }
+
+    /// Returns the rotation that undoes this one.
+    pub fn inverse(self) -> Self {
+        let [w, x, y, z] = self.0;
+        Rotation([w, -x, -y, -z])
     }
 
     /// Rotates a vector.

@@ -55,7 +55,7 @@ impl Interfaces {
         if table.along.axis() != 2 {
             heights[0] = f64::NEG_INFINITY;
         } else {
-            heights[0] = -1e-6;
+            heights[0] -= 1e-6;
         }
         Interfaces {
             axis: table.along.axis(),

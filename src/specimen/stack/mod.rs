@@ -5,10 +5,12 @@
 
 mod filling;
 mod interfaces;
+mod particles_on_layers;
 mod truth_lines;
 
 use filling::{MadeSite, filled};
 use interfaces::Interfaces;
+use particles_on_layers::{LaidParticle, laid_particles};
 
 use super::own_atoms::{OwnAtoms, PlacedSite};
 use super::sites::{DISPLACED_NM, SpecimenSite};
@@ -51,6 +53,8 @@ pub fn stack(recipe: &CheckedRecipe) -> Result<OwnAtoms> {
     sites.retain(|site| {
         (0..2).all(|k| extent[k][0] <= site.position[k] && site.position[k] < extent[k][1])
     });
+    let particles = laid_particles(recipe, table, crystals, &sites)?;
+    sites.extend(particles.iter().flat_map(LaidParticle::sites));
     let atoms: Vec<(Vec3, u8)> = sites.iter().map(|s| (s.position, s.number)).collect();
     let kept = crystals.least.kept(&atoms);
     let placed: Vec<PlacedSite> = sites
@@ -63,7 +67,9 @@ pub fn stack(recipe: &CheckedRecipe) -> Result<OwnAtoms> {
         })
         .collect();
     let boundaries = truth_lines::boundaries(table, crystals, &interfaces, extent);
-    OwnAtoms::of_sites(placed, recipe, facts(recipe, table, crystals), boundaries)
+    let held = particles.iter().map(LaidParticle::held).collect();
+    let own = OwnAtoms::of_sites(placed, recipe, facts(recipe, table, crystals), boundaries)?;
+    Ok(own.with_particles(held))
 }
 
 fn displace(sites: &mut [MadeSite], dislocations: &[EdgeDislocation]) {
