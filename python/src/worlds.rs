@@ -250,6 +250,18 @@ impl WorldReader {
         Ok(lines.into_iter().map(|line| (line.text, array(line.points_nm))).collect())
     }
 
+    /// Returns the layers of a stack: phase, range in nm, strain along x, y and z, and turn about the beam in degrees.
+    fn layers(&self, py: Python<'_>) -> PyResult<Vec<(String, [f32; 2], [f32; 3], f32)>> {
+        let rows = self.with(py, |world| Ok(world.layers()?))?;
+        Ok(rows.into_iter().map(|row| (row.phase, row.range_nm, row.strain, row.turn_deg)).collect())
+    }
+
+    /// Returns the dislocations: place (x, y) of the line and Burgers vector (x, y, z) in nm.
+    fn dislocations(&self, py: Python<'_>) -> PyResult<Vec<([f32; 2], [f32; 3])>> {
+        let rows = self.with(py, |world| Ok(world.dislocations()?))?;
+        Ok(rows.into_iter().map(|row| (row.position_nm, row.burgers_nm)).collect())
+    }
+
     /// Returns a picture of the whole world as PNG.
     fn png<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let bytes = self.with(py, |world| Ok(image_pictures::of_world(world)?))?;

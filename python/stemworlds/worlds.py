@@ -37,6 +37,12 @@ SITE_DTYPE = np.dtype(
 PARTICLE_DTYPE = np.dtype(
     [("x_nm", "f4"), ("y_nm", "f4"), ("z_nm", "f4"), ("diameter_nm", "f4"), ("morphology", "U16"), ("orientation", "f4", (4,))]
 )
+#: Fields of :attr:`World.layers`: where a layer begins and ends along the stack, strain along x, y and z, and its turn about the beam.
+LAYER_DTYPE = np.dtype(
+    [("phase", "U32"), ("begin_nm", "f4"), ("end_nm", "f4"), ("strain", "f4", (3,)), ("turn_deg", "f4")]
+)
+#: Fields of :attr:`World.dislocations`: place of the line, and Burgers vector along x, y and z.
+DISLOCATION_DTYPE = np.dtype([("x_nm", "f4"), ("y_nm", "f4"), ("burgers_nm", "f4", (3,))])
 #: Names of the classes of columns. ``class`` in truth tables is an index into them; 0 is the background of masks.
 COLUMN_CLASSES = ("background", "pristine", "vacancies", "substitutions", "vacancies and substitutions")
 
@@ -291,6 +297,19 @@ class World:
     def boundaries(self) -> list[tuple[str, npt.NDArray[np.float32]]]:
         """Boundaries of grains and phases, and planar faults: what each separates or its kind, as text, and its corners ``[point, (x, y)]`` in nm."""
         return reading(self._reader.boundaries)()
+
+    @property
+    def layers(self) -> StructuredArray:
+        """Layers of a stack, a structured array of :data:`LAYER_DTYPE`; empty in other worlds."""
+        rows = reading(self._reader.layers)()
+        listed = [(phase, begin, end, strain, turn) for phase, (begin, end), strain, turn in rows]
+        return np.array(listed, LAYER_DTYPE)
+
+    @property
+    def dislocations(self) -> StructuredArray:
+        """Dislocations along the beam, a structured array of :data:`DISLOCATION_DTYPE`; empty in most worlds."""
+        rows = reading(self._reader.dislocations)()
+        return np.array([(x, y, burgers) for (x, y), burgers in rows], DISLOCATION_DTYPE)
 
     @property
     def phase_map(self) -> npt.NDArray[np.int32] | None:

@@ -12,6 +12,8 @@ use super::world_metadata::not_a_world;
 use super::world_writer::text;
 use crate::error::Result;
 
+/// Name of the list of angles by which layers are turned.
+const TURN: &str = "turn";
 /// Name of a phase in the list of layers.
 type PhaseName = FixedAscii<32>;
 const HEIGHT_ORIGIN: [&str; 3] = [
@@ -30,12 +32,14 @@ pub struct LayerRow {
     pub range_nm: [f32; 2],
     /// Strain along x, y and z.
     pub strain: [f32; 3],
+    /// Angle in degrees from +x to +y by which the layer is turned about the beam.
+    pub turn_deg: f32,
 }
 
 impl LayerRow {
     /// Makes a row of the list of layers.
-    pub fn new(phase: &str, range_nm: [f32; 2], strain: [f32; 3]) -> Self {
-        LayerRow { phase: phase.to_owned(), range_nm, strain }
+    pub fn new(phase: &str, range_nm: [f32; 2], strain: [f32; 3], turn_deg: f32) -> Self {
+        LayerRow { phase: phase.to_owned(), range_nm, strain, turn_deg }
     }
 }
 
@@ -78,7 +82,14 @@ impl TruthWriter {
                 &strain,
                 "axes",
                 "(x, y, z); (length in the layer) / (length in the crystal's file) - 1",
-            )
+            )?;
+            if layers.iter().all(|row| row.turn_deg == 0.0) {
+                return Ok(());
+            }
+            let turns = Array1::from_iter(layers.iter().map(|row| row.turn_deg));
+            let turn = group.new_dataset_builder().with_data(&turns).create(TURN)?;
+            text(&turn, "unit", "degree")?;
+            text(&turn, "sense", "from +x to +y about the middle of the field")
         };
         write().at(&self.path)
     }
@@ -188,7 +199,13 @@ impl WorldFile {
         let phases: Vec<PhaseName> = self.list(&self.dataset_of::<PhaseName>(&names)?, "phase")?;
         let (ranges, strains) = (read("range")?, read("strain")?);
         let n = phases.len();
-        if ranges.dim() != (n, 2) || strains.dim() != (n, 3) {
+        // Only files with turned layers have the list.
+        let turns = format!("{}/{TURN}", schema::LAYERS);
+        let turns: Vec<f32> = match self.truth_dataset(&turns) {
+            Ok(dataset) => self.list(&dataset, TURN)?,
+            Err(_) => vec![0.0; n],
+        };
+        if ranges.dim() != (n, 2) || strains.dim() != (n, 3) || turns.len() != n {
             return Err(not_a_world(&self.path, "has lists of layers of unequal length"));
         }
         if phases.iter().any(|name| !name.as_bytes().is_ascii()) {
@@ -198,6 +215,7 @@ impl WorldFile {
             phase: phases[i].as_str().to_owned(),
             range_nm: [ranges[(i, 0)], ranges[(i, 1)]],
             strain: [0, 1, 2].map(|k| strains[(i, k)]),
+            turn_deg: turns[i],
         };
         Ok((0..n).map(row).collect())
     }

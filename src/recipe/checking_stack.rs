@@ -20,6 +20,7 @@ use super::stacked_crystals::{
     StackedMatter,
 };
 use super::tables::Field;
+use crate::models::stack::Isometry;
 use crate::models::stack::atomic_planes::{AtomicPlane, atomic_planes, parse_formula};
 use crate::models::stack::lattice_fit::{CellMatch, closest, coherent, coincident, normal_strain};
 use crate::models::stack::layer_places::{LayerMatter, layer_places};
@@ -162,6 +163,7 @@ fn check_layer(table: &StackTable, n: usize, layer: &StackLayer) -> Checked {
     if let Some(ratio) = layer.poisson_ratio {
         within(&key("poisson_ratio"), ratio, 0.0, 0.499)?;
     }
+    check_turn(table, n, layer)?;
     let of_interface = [
         ("roughness_nm", layer.roughness_nm.is_some()),
         ("interdiffusion_nm", layer.interdiffusion_nm.is_some()),
@@ -175,6 +177,25 @@ fn check_layer(table: &StackTable, n: usize, layer: &StackLayer) -> Checked {
     }
 }
 
+/// Refuses turned layers where lattices should fit or continue.
+fn check_turn(table: &StackTable, n: usize, layer: &StackLayer) -> Checked {
+    let Some(turn) = layer.turn_deg else { return Ok(()) };
+    let key = layer_key(n, "turn_deg");
+    within(&key, turn, -360.0, 360.0)?;
+    let expected = if table.along != StackDirection::Z {
+        "only layers across the beam can be turned; expected along = \"z\""
+    } else if n > 0 && layer.fit != LayerFit::Misfit {
+        "a turned lattice cannot fit the first crystal; expected fit = \"misfit\" beside it"
+    } else if table.faults.iter().any(|fault| fault.layer == n + 1) {
+        "the planes of faults are seen edge on in layers that are not turned; leave out the faults of this layer"
+    } else if !table.dislocations.is_empty() {
+        "dislocations extend through all layers; expected none beside turned layers"
+    } else {
+        return Ok(());
+    };
+    fault(&key, turn, expected)
+}
+
 /// Refuses values that a crystal or amorphous matter does not have.
 fn check_keys(n: usize, layer: &StackLayer) -> Checked {
     let key = |name: &str| layer_key(n, name);
@@ -184,6 +205,7 @@ fn check_keys(n: usize, layer: &StackLayer) -> Checked {
         ("first_plane", layer.first_plane.is_some()),
         ("last_plane", layer.last_plane.is_some()),
         ("shift_cells", layer.shift_cells.is_some()),
+        ("turn_deg", layer.turn_deg.is_some()),
         ("poisson_ratio", layer.poisson_ratio.is_some()),
     ];
     let glass_keys = [
@@ -387,11 +409,19 @@ fn laid(
             phase,
             matter,
             begin: place.begin,
+            turn: turned(layer, field),
             faults: Vec::new(),
             fault_kinds: Vec::new(),
         });
     }
     Ok(layers)
+}
+
+/// Returns the rotation of a layer about the middle of the field.
+fn turned(layer: &StackLayer, field: &Field) -> Isometry {
+    let region = field.full_region();
+    let middle = [region.x, region.y].map(|[low, high]| 0.5 * PER_NM * (low + high));
+    layer.turn_deg.map_or(Isometry::IDENTITY, |deg| Isometry::about_beam(deg.to_radians(), middle))
 }
 
 /// Finds the plane of a formula.

@@ -125,6 +125,9 @@ pub struct StackLayer {
     /// Shift along the two axes of the interface (in the order x, y, z), in cells.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shift_cells: Option<[f64; 2]>,
+    /// Angle in degrees, from +x to +y, by which a layer of a stack along z is turned about the beam, at the middle of the field.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turn_deg: Option<f64>,
     /// Formula of the atomic plane that begins the layer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first_plane: Option<String>,

@@ -5,6 +5,7 @@ use super::stack_table::FaultKind;
 use crate::models::particles::facets::Polyhedron;
 use crate::models::particles::rotation::Rotation;
 use crate::models::particles::{Metal, Morphology};
+use crate::models::stack::Isometry;
 use crate::models::stack::edge_dislocation::EdgeDislocation;
 use crate::models::stack::fault_planes::FaultPlane;
 use crate::models::stack::least_distances::LeastDistances;
@@ -102,6 +103,8 @@ pub struct StackedLayer {
     pub matter: StackedMatter,
     /// Height at which it begins, without roughness.
     pub begin: f64,
+    /// Turns it about the beam.
+    pub turn: Isometry,
     /// Its planar faults, parallel to each other, by their distance.
     pub faults: Vec<FaultPlane>,
     /// The kinds of these faults.

@@ -46,6 +46,8 @@ pub enum BoundaryKind {
 /// A layer of a stack.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LayerTruth {
+    /// Angle in degrees by which the layer is turned about the beam.
+    pub turn_deg: f64,
     /// Phase, as an index into [`StackTruth::phases`].
     pub phase: usize,
     /// Height at which it begins in nm, without roughness.

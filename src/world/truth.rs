@@ -187,7 +187,8 @@ fn write_stack(
     let offset = [origin[0], origin[1], 0.0][stack.axis];
     let layer = |layer: &crate::specimen::LayerTruth| {
         let range = [layer.begin_nm, layer.end_nm].map(|nm| (nm - offset) as f32);
-        LayerRow::new(&stack.phases[layer.phase], range, layer.strain.map(|s| s as f32))
+        let strain = layer.strain.map(|s| s as f32);
+        LayerRow::new(&stack.phases[layer.phase], range, strain, layer.turn_deg as f32)
     };
     let layers: Vec<LayerRow> = stack.layers.iter().map(layer).collect();
     writer.layers(&layers, stack.axis)?;

@@ -157,6 +157,49 @@ fn a_misfit_layer_keeps_its_lattice_and_coincident_cells_end_together() {
     assert_spacing(&planes(&found, "La", 1), 29.0 / 30.0 * 0.3905);
 }
 
+/// Two layers of one lattice: the second is the first, turned about the middle of the field.
+#[test]
+fn a_layer_can_be_turned_about_the_beam() {
+    let layer = "[[stack.layers]]\ncrystal = \"graphene_layer.cif\"\nzone_axis = \"[001]\"\ny_axis = \"[010]\"\n";
+    let stack = format!("[stack]\nalong = \"z\"\n{layer}thickness_nm = 0.3\n{layer}fit = \"misfit\"\nturn_deg = 13.0\n");
+    let recipe = checked(&stack, 0.6708, &["C"]);
+    let specimen = stemgen::specimen::specimen(&recipe).unwrap();
+    let found = specimen.sites(&recipe.field.full_region().grown(3.0));
+    let [low, high] = [false, true].map(|above| {
+        let side = |s: &&SpecimenSite| (s.position_nm[2] > 0.17) == above;
+        found.iter().filter(side).map(|s| s.position_nm).collect::<Vec<_>>()
+    });
+    assert!((low.len() as f64 / high.len() as f64 - 1.0).abs() < 0.03);
+    let field = recipe.field.full_region();
+    let middle = [field.x, field.y].map(|[a, b]| 0.5 * (a + b));
+    let (sin, cos) = 13f64.to_radians().sin_cos();
+    let mut tried = 0;
+    for at in low.iter().filter(|at| (0..2).all(|k| (at[k] - middle[k]).abs() < 2.0)) {
+        let d = [0, 1].map(|k| at[k] - middle[k]);
+        let to = [middle[0] + cos * d[0] - sin * d[1], middle[1] + sin * d[0] + cos * d[1]];
+        let near = |other: &&[f64; 3]| (0..2).all(|k| (other[k] - to[k]).abs() < 1e-6);
+        let other = high.iter().find(near).unwrap_or_else(|| panic!("{at:?}"));
+        assert!((other[2] - at[2] - 0.3354).abs() < 1e-6);
+        tried += 1;
+    }
+    // 38.2 atoms of graphene in a square nm.
+    assert!((tried as f64 / (16.0 * 38.2) - 1.0).abs() < 0.05, "{tried}");
+    assert_eq!(specimen.facts().stack.as_ref().unwrap().layers[1].turn_deg, 13.0);
+    let error = |from: &str, to: &str| -> String {
+        let made = recipe_of(&stack.replace(from, to)).and_then(Recipe::checked);
+        made.err().map_or("no error".into(), |e| e.to_string())
+    };
+    assert!(error("fit = \"misfit\"\n", "").contains("expected fit = \"misfit\" beside it"));
+    assert!(error("along = \"z\"", "along = \"x\"").contains("expected along = \"z\""));
+    assert!(error("13.0", "400.0").contains("stack.layers[2].turn_deg = 400"));
+    let edge = "13.0\n[[stack.dislocations]]\nposition_nm = [2.0, 2.0]\nburgers = \"[100]\"";
+    assert!(error("13.0", edge).contains("expected none beside turned layers"));
+}
+
+fn recipe_of(stack: &str) -> stemgen::Result<Recipe> {
+    recipe(stack, 0.6708, &["C"])
+}
+
 #[test]
 fn elements_are_exchanged_as_the_error_function_and_no_site_is_lost() {
     let abrupt = sites(&checked(&JOINED.replace("2.0", "2.1"), 4.0, OXIDES));

@@ -34,6 +34,14 @@ impl Isometry {
         Isometry { shift: by, ..Self::IDENTITY }
     }
 
+    /// Turns every point from +x to +y about the line along z through `centre` (x, y); the angle is in radian.
+    pub fn about_beam(angle: f64, [x, y]: [f64; 2]) -> Self {
+        let (sin, cos) = libm::sincos(angle);
+        let linear = [[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]];
+        let turned = Isometry { linear, shift: [0.0; 3] }.apply([x, y, 0.0]);
+        Isometry { linear, shift: [x - turned[0], y - turned[1], 0.0] }
+    }
+
     /// Mirrors every point at the plane of points r with r . `normal` = `distance`; the normal has unit length.
     pub fn reflection(normal: Vec3, distance: f64) -> Self {
         let row = |i: usize| {
@@ -80,5 +88,8 @@ mod tests {
         let expected = mirror.apply(r);
         assert!(near(both.apply(r), [expected[0] + 1.0, expected[1] + 2.0, expected[2] + 3.0]));
         assert!(near(both.undo(both.apply(r)), r));
+        let quarter = Isometry::about_beam(std::f64::consts::FRAC_PI_2, [1.0, 2.0]);
+        assert!(near(quarter.apply([2.0, 2.0, 5.0]), [1.0, 3.0, 5.0]));
+        assert!(near(quarter.undo([1.0, 3.0, 5.0]), [2.0, 2.0, 5.0]));
     }
 }

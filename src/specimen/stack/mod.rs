@@ -95,6 +95,7 @@ fn displaced(dislocations: &[EdgeDislocation], at: [f64; 2]) -> [f64; 2] {
 fn facts(recipe: &CheckedRecipe, table: &StackTable, crystals: &StackedCrystals) -> SpecimenFacts {
     let names = crystals.phases.clone();
     let layer = |(n, layer): (usize, &crate::recipe::stacked_crystals::StackedLayer)| LayerTruth {
+        turn_deg: table.layers[n].turn_deg.unwrap_or(0.0),
         phase: layer.phase,
         begin_nm: NM * layer.begin,
         end_nm: NM * crystals.layers.get(n + 1).map_or(crystals.end, |next| next.begin),
