@@ -94,7 +94,8 @@ fn fill_layer(
             let exchange = Exchange::new(table, n, recipe.seed);
             for (part, map) in parts(&layer.faults).iter().enumerate() {
                 let inside = |at: Vec3| part_of(&layer.faults, at) == part && free(at);
-                let found = crystal_sites(crystal, &layer.turn.after(map), bounds, inside);
+                let map = layer.turn.after(map);
+                let found = crystal_sites(crystal, &map, bounds, inside);
                 sites.extend(found.map(|site| exchange.site(&site, part, interfaces, phase)));
             }
         }
