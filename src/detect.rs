@@ -39,12 +39,70 @@ pub struct Detector {
     /// constant beyond. Without any, all electrons are counted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub response: Vec<[f64; 2]>,
+    /// Azimuths in degrees between which a sector of the annulus lies, from +x towards +y, which points down; without it the whole
+    /// annulus.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sector_degrees: Option<[f64; 2]>,
 }
+
+/// Greatest number of sectors of an annulus.
+pub const MOST_SECTORS: usize = 360;
 
 impl Detector {
     /// A named annulus.
     pub fn new(name: &str, inner_mrad: f64, outer_mrad: f64) -> Self {
-        Detector { name: name.to_owned(), inner_mrad, outer_mrad, response: Vec::new() }
+        let name = name.to_owned();
+        Detector { name, inner_mrad, outer_mrad, response: Vec::new(), sector_degrees: None }
+    }
+
+    /// Divides the annulus into equal sectors with the names `NAME_0`, `NAME_1`, ...; the first begins at the azimuth `first_degrees`.
+    pub fn divided(&self, sectors: usize, first_degrees: f64) -> Vec<Self> {
+        let width = 360.0 / sectors as f64;
+        let edge = |n: usize| first_degrees + n as f64 * width;
+        let sector = |n: usize| Detector {
+            name: format!("{}_{n}", self.name),
+            sector_degrees: Some([edge(n), edge(n + 1)]),
+            ..self.clone()
+        };
+        (0..sectors).map(sector).collect()
+    }
+
+    /// Reads `[NAME=]INNER-OUTER` in mrad, or `[NAME=]INNER-OUTER:SECTORS[@DEGREES]`: equal sectors of the annulus, of which the first
+    /// begins at the azimuth `DEGREES`.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for anything else, and for less than 2 or more than [`MOST_SECTORS`] sectors.
+    pub fn parse_all(text: &str) -> Result<Vec<Self>> {
+        let Some((annulus, rest)) = text.split_once(':') else {
+            return Ok(vec![Self::parse(text)?]);
+        };
+        let bad = || {
+            let expected = format!(
+                "write INNER-OUTER:SECTORS with 2 to {MOST_SECTORS} sectors, or INNER-OUTER:SECTORS@DEGREES: 0-21:4@45"
+            );
+            Error::invalid(Setting::Detector, text, expected)
+        };
+        let (number, first) = rest.split_once('@').unwrap_or((rest, "0"));
+        let number: usize = number.trim().parse().map_err(|_| bad())?;
+        let first: f64 = first.trim().parse().map_err(|_| bad())?;
+        if !(2..=MOST_SECTORS).contains(&number) || !(-360.0..=360.0).contains(&first) {
+            return Err(bad());
+        }
+        Ok(Self::parse(annulus)?.divided(number, first))
+    }
+
+    /// The angles in words: `68-200 mrad`, `0-21 mrad, 45 to 135 degrees`.
+    pub fn angles(&self) -> String {
+        let annulus = format!("{}-{} mrad", self.inner_mrad, self.outer_mrad);
+        match self.sector_degrees {
+            None => annulus,
+            Some([from, to]) => format!("{annulus}, {from} to {to} degrees"),
+        }
+    }
+
+    /// The share of all azimuths that the detector covers.
+    pub fn azimuth_share(&self) -> f64 {
+        self.sector_degrees.map_or(1.0, |[from, to]| (to - from) / 360.0)
     }
 
     /// Reads `NAME=INNER-OUTER` or `INNER-OUTER` (mrad).
@@ -64,7 +122,7 @@ impl Detector {
         let (Some(inner_mrad), Some(outer_mrad)) = (number(inner), number(outer)) else {
             return Err(bad("write NAME=INNER-OUTER in mrad, HAADF=68-200"));
         };
-        let detector = Detector { name, inner_mrad, outer_mrad, response: Vec::new() };
+        let detector = Detector::new(&name, inner_mrad, outer_mrad);
         detector.fault().map_or(Ok(detector), |fault| Err(bad(fault)))
     }
 
@@ -90,8 +148,12 @@ impl Detector {
         if !(self.inner_mrad >= 0.0 && self.outer_mrad > self.inner_mrad) {
             return Some("the outer angle must exceed the inner, which must not be negative");
         }
-        (self.outer_mrad > MOST_MRAD)
-            .then_some("the outer angle is at most 1570 mrad, a right angle")
+        if self.outer_mrad > MOST_MRAD {
+            return Some("the outer angle is at most 1570 mrad, a right angle");
+        }
+        let sector = self.sector_degrees.unwrap_or([0.0, 360.0]);
+        let fits = sector.iter().all(|v| v.abs() <= 1080.0) && (1e-3..=360.0).contains(&(sector[1] - sector[0]));
+        (!fits).then_some("the azimuths of a sector must rise, by at most 360 degrees")
     }
 
     /// Whether `theta_mrad` falls on the detector.
@@ -138,9 +200,14 @@ impl Detector {
         all.map(|(range, middle)| (range, self.response_at(middle))).collect()
     }
 
-    /// The counted share of a pixel at `theta_mrad`, with edges `ramp_mrad` wide.
-    fn weight(&self, theta_mrad: f64, ramp_mrad: f64) -> f64 {
-        self.share_on(theta_mrad, ramp_mrad) * self.response_at(theta_mrad)
+    /// The counted share of a pixel in a direction (x, y) in mrad, with edges `ramp_mrad` wide.
+    fn weight(&self, at: [f64; 2], pattern: &Pattern) -> f64 {
+        let theta_mrad = at[0].hypot(at[1]);
+        let ring = self.share_on(theta_mrad, pattern.ramp_mrad) * self.response_at(theta_mrad);
+        match self.sector_degrees {
+            Some(sector) if ring > 0.0 => ring * share_of_sector(at, pattern.pixel_mrad, sector),
+            _ => ring,
+        }
     }
 
     /// The share of a pixel at `theta_mrad` that lies on the detector, with edges `ramp_mrad` wide.
@@ -152,6 +219,31 @@ impl Detector {
         let inner = if self.inner_mrad > 0.0 { inside(theta_mrad - self.inner_mrad) } else { 1.0 };
         inner * inside(self.outer_mrad - theta_mrad)
     }
+}
+
+/// Points along an edge of a pixel that measure the share of its area in a sector.
+const POINTS: usize = 16;
+
+/// The share of a pixel's area whose azimuth lies between two angles in degrees. The shares of sectors that divide a ring add to 1.
+fn share_of_sector(at: [f64; 2], pixel: [f64; 2], [from, to]: [f64; 2]) -> f64 {
+    let within = |[x, y]: [f64; 2]| {
+        let azimuth = libm::atan2(y, x).to_degrees();
+        (azimuth - from).rem_euclid(360.0) < to - from
+    };
+    let reach = 0.5 * pixel[0].hypot(pixel[1]);
+    // Distance from a ray that bounds the sector; pixels behind its origin are not near it.
+    let near = |degrees: f64| {
+        let (sin, cos) = libm::sincos(degrees.to_radians());
+        let (along, across) = (at[0] * cos + at[1] * sin, at[1] * cos - at[0] * sin);
+        along > -reach && across.abs() < reach
+    };
+    if !near(from) && !near(to) {
+        return f64::from(u8::from(within(at)));
+    }
+    let offset = |n: usize, k: usize| ((n as f64 + 0.5) / POINTS as f64 - 0.5) * pixel[k];
+    let point = |n: usize| [at[0] + offset(n % POINTS, 0), at[1] + offset(n / POINTS, 1)];
+    let inside = (0..POINTS * POINTS).filter(|n| within(point(*n))).count();
+    inside as f64 / (POINTS * POINTS) as f64
 }
 
 /// For each detector, the pixels of a diffraction pattern that it collects.
@@ -180,24 +272,26 @@ pub struct Pattern {
     /// Width of the linear ramp by which pixels on a detector's edge are counted in part. With 0 each pixel is counted wholly or not at
     /// all, as in abTEM.
     pub ramp_mrad: f64,
+    /// Edges (x, y) of a pixel in mrad; pixels on the edge of a sector are counted in part.
+    pub pixel_mrad: [f64; 2],
 }
 
 impl DetectorMap {
-    /// Maps detectors onto a pattern; `theta_mrad(iy, ix)` is the scattering angle in mrad of the pixel in row iy, column ix.
+    /// Maps detectors onto a pattern; `angles_mrad(iy, ix)` are the angles (x, y) in mrad of the pixel in row iy, column ix.
     pub fn new(
         detectors: &[Detector],
         pattern: Pattern,
-        theta_mrad: impl Fn(usize, usize) -> f64,
+        angles_mrad: impl Fn(usize, usize) -> [f64; 2],
     ) -> Self {
         let mut per_detector = vec![Pixels::default(); detectors.len()];
         for iy in 0..pattern.shape.0 {
             for ix in 0..pattern.shape.1 {
-                let theta = theta_mrad(iy, ix);
-                if theta >= pattern.limit_mrad {
+                let at = angles_mrad(iy, ix);
+                if at[0].hypot(at[1]) >= pattern.limit_mrad {
                     continue;
                 }
                 for (d, pixels) in detectors.iter().zip(&mut per_detector) {
-                    pixels.add(iy * pattern.stride + ix, d.weight(theta, pattern.ramp_mrad));
+                    pixels.add(iy * pattern.stride + ix, d.weight(at, &pattern));
                 }
             }
         }
@@ -270,12 +364,13 @@ mod tests {
         let names = ["a=0-10", "b=10-30", "c=30-60", "all=0-60"];
         let detectors: Vec<Detector> = names.iter().map(|t| Detector::parse(t).unwrap()).collect();
         let (ny, nx, stride) = (40, 50, 64);
-        let theta = |iy, ix| {
-            2.0 * (crate::fft::frequency(iy, ny) as f64).hypot(crate::fft::frequency(ix, nx) as f64)
+        let angles = |iy, ix| {
+            [crate::fft::frequency(ix, nx), crate::fft::frequency(iy, ny)].map(|n| 2.0 * n as f64)
         };
         for ramp_mrad in [0.0, 2.0] {
-            let pattern = Pattern { shape: (ny, nx), stride, limit_mrad: 1e9, ramp_mrad };
-            let map = DetectorMap::new(&detectors, pattern, theta);
+            let pixel_mrad = [2.0; 2];
+            let pattern = Pattern { shape: (ny, nx), stride, limit_mrad: 1e9, ramp_mrad, pixel_mrad };
+            let map = DetectorMap::new(&detectors, pattern, angles);
             let psi: Vec<Complex32> =
                 (0..ny * stride).map(|i| Complex32::new((i % 13) as f32, 1.0)).collect();
             let mut sums = [0.0; 4];
@@ -284,6 +379,35 @@ mod tests {
             assert!(sums[..3].iter().all(|s| *s > 0.0));
             let p = map.pixels();
             assert!((p[0] + p[1] + p[2] - p[3]).abs() < 1e-3);
+            // Sectors divide each annulus, and have the share of their azimuths of the area.
+            for (sectors, first) in [(4, 0.0), (4, 45.0), (3, -20.0), (7, 33.3)] {
+                let divided = detectors[1].divided(sectors, first);
+                let map = DetectorMap::new(&divided, pattern, angles);
+                let mut parts = vec![0.0; sectors];
+                map.collect(&psi, 2.0, &mut parts);
+                assert!((parts.iter().sum::<f64>() - sums[1]).abs() < 1e-6 * sums[1]);
+                for share in map.pixels() {
+                    assert!((share * sectors as f64 / p[1] - 1.0).abs() < 0.06, "{share} {}", p[1]);
+                }
+                // A quadrant is a quarter, whatever its first azimuth.
+                let share = divided[0].azimuth_share();
+                assert!((share * sectors as f64 - 1.0).abs() < 1e-12);
+            }
+        }
+        // Azimuths run from +x towards +y.
+        let [right, down, left, up] = &detectors[1].divided(4, -45.0)[..] else { panic!() };
+        for (detector, at) in
+            [(right, [20.0, 0.0]), (down, [0.0, 20.0]), (left, [-20.0, 0.0]), (up, [0.0, -20.0])]
+        {
+            let pattern = Pattern {
+                shape: (1, 1),
+                stride: 1,
+                limit_mrad: 1e9,
+                ramp_mrad: 0.0,
+                pixel_mrad: [1.0; 2],
+            };
+            assert_eq!(detector.weight(at, &pattern), 1.0, "{}", detector.name);
+            assert_eq!(detector.weight(at.map(|v| -v), &pattern), 0.0);
         }
         // exactly on the inner edge belongs to the outer annulus
         assert!(!detectors[0].contains(10.0) && detectors[1].contains(10.0));
@@ -310,6 +434,15 @@ mod tests {
     fn malformed_detectors_are_refused() {
         for bad in ["", "HAADF", "x=10", "x=20-10", "x=-5-10", "a b=1-2", "x=nan-3"] {
             assert!(Detector::parse(bad).is_err(), "{bad}");
+            assert!(Detector::parse_all(bad).is_err(), "{bad}");
         }
+        for bad in ["x=0-21:1", "x=0-21:", "x=0-21:4@", "x=0-21:4@nan", "x=0-21:361", "0-21:4:4"] {
+            assert!(Detector::parse_all(bad).is_err(), "{bad}");
+        }
+        let quadrants = Detector::parse_all("DPC=0-21:4@45").unwrap();
+        assert_eq!(quadrants[3].name, "DPC_3");
+        assert_eq!(quadrants[3].angles(), "0-21 mrad, 315 to 405 degrees");
+        let turned = Detector { sector_degrees: Some([20.0, 10.0]), ..quadrants[0].clone() };
+        assert!(turned.validate().is_err());
     }
 }

@@ -10,8 +10,8 @@ const NOT_OFFERED: [(&[&str], &str); 5] = [
     ),
     (
         &["segmented", "segments", "dpc", "idpc", "com", "icom", "quadrant", "df4"],
-        "segments, DPC and centre of mass are computed from diffraction patterns: `stemgen patterns`, then `stemgen integrate \
-         FILE.emd --sectors 0-21:4 --com --icom`",
+        "--detector DPC=0-21:4@45 of `stemgen simulate` divides an annulus into four sectors; the centre of mass is computed from \
+         diffraction patterns: `stemgen patterns`, then `stemgen integrate FILE.emd --com --icom`",
     ),
     (
         &["tilt", "mistilt", "beam-tilt"],

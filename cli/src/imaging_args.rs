@@ -1,7 +1,7 @@
 //! Options of the microscope and of the engine. Given options go into a request, which holds the defaults.
 
 use super::values::{
-    self, EngineName, NumberSeries, ParametrizationName, ProbeBoxName, ProjectionName,
+    self, DetectorGroup, EngineName, NumberSeries, ParametrizationName, ProbeBoxName, ProjectionName,
 };
 use anyhow::bail;
 use clap::Args;
@@ -42,10 +42,11 @@ pub struct MicroscopeArgs {
     #[arg(long, value_name = "SHARE", value_parser = values::finite, allow_negative_numbers = true)]
     #[arg(requires = "source_size")]
     pub source_lorentz: Option<f64>,
-    /// Annular detector with its inner and outer angle in mrad, such as BF=0-20, ABF=10-20, ADF=40-100 (repeatable)
+    /// Annular detector with its inner and outer angle in mrad, such as BF=0-20, ABF=10-20, ADF=40-100 (repeatable). With :N it
+    /// is divided into N equal sectors, NAME_0, NAME_1, ...; the first begins at DEGREES, from +x towards +y (DPC=0-21:4@45)
     /// [default: HAADF=68-200]
-    #[arg(long, value_name = "NAME=IN-OUT", value_parser = values::detector)]
-    pub detector: Vec<Detector>,
+    #[arg(long, value_name = "NAME=IN-OUT[:N[@DEGREES]]", value_parser = values::detector)]
+    pub detector: Vec<DetectorGroup>,
     /// Continue if a detector reaches beyond the angles that the grid carries; that part of it stays empty
     #[arg(long)]
     pub allow_empty_angles: bool,
@@ -147,7 +148,8 @@ impl MicroscopeArgs {
         put(&self.focal_spread, &mut to.focal_spread_angstrom);
         put_some(&self.source_size, &mut to.source_size_angstrom);
         put(&self.source_lorentz, &mut to.source_lorentz_share);
-        put(&Some(&self.detector).filter(|d| !d.is_empty()).cloned(), &mut to.detectors);
+        let detectors: Vec<Detector> = self.detector.iter().flat_map(|d| d.0.clone()).collect();
+        put(&Some(detectors).filter(|d| !d.is_empty()), &mut to.detectors);
         to.allow_empty_angles |= self.allow_empty_angles;
     }
 }

@@ -263,7 +263,7 @@ fn image_lines(f: &WorldFacts, lines: &mut Lines) {
         lines.add("probe", format!("{energy} keV, {angle} mrad"));
     }
     let detector = |d: &stemgen::detect::Detector| {
-        format!("{} {}-{} mrad", d.name, d.inner_mrad, d.outer_mrad)
+        format!("{} {}", d.name, d.angles())
     };
     if !f.detectors.is_empty() {
         let all: Vec<String> = f.detectors.iter().map(detector).collect();

@@ -77,6 +77,7 @@ struct VirtualImage {
     name: String,
     units: &'static str,
     annulus_mrad: Option<[f64; 2]>,
+    sector_degrees: Option<[f64; 2]>,
     data: Array2<f32>,
 }
 
@@ -208,6 +209,7 @@ impl Integrate {
             name: d.name.clone(),
             units,
             annulus_mrad: Some(d.annulus_mrad),
+            sector_degrees: d.sector_degrees,
             data,
         };
         let mut made: Vec<VirtualImage> = detectors.iter().zip(sums).map(of_detector).collect();
@@ -222,6 +224,7 @@ impl Integrate {
             name: name.to_owned(),
             units,
             annulus_mrad: None,
+            sector_degrees: None,
             data,
         };
         if self.com {
@@ -253,6 +256,7 @@ impl Integrate {
                 thicknesses_angstrom: &thicknesses,
                 defocus_angstrom: Some(header.defocus_angstrom),
                 annulus_mrad: image.annulus_mrad,
+                sector_degrees: image.sector_degrees,
                 electrons_per_pixel: None,
             }
         };

@@ -54,7 +54,7 @@ The file (HDF5) holds each image as /images/NAME: float32, [thickness, y, x], fr
 incident beam. /specimen holds the simulated atoms; attributes hold the settings and the request.
 NeXus readers find the images with their axes in /entry. `stemgen rerun FILE.h5` repeats the
 simulation and compares. `stemgen patterns` simulates diffraction patterns (4D-STEM), and
-`stemgen integrate` computes segments and the centre of mass from them.";
+`stemgen integrate` computes any detector and the centre of mass from them.";
 
 /// Simulate images of a structure
 #[derive(Debug, Args)]

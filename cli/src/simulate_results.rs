@@ -181,6 +181,7 @@ impl SimulateRun {
             thicknesses_angstrom,
             defocus_angstrom: (self.job.plans().len() > 1).then_some(image.defocus_angstrom),
             annulus_mrad: image.annulus_mrad,
+            sector_degrees: image.sector_degrees,
             electrons_per_pixel: self.job.electrons_per_pixel().filter(|_| image.noisy),
         }
     }

@@ -215,13 +215,19 @@ pub fn aberration(text: &str) -> Parsed<Aberration> {
     Aberration::parse(text).map_err(|e| e.to_string())
 }
 
-/// Reads `HAADF=68-200`.
-pub fn detector(text: &str) -> Parsed<Detector> {
-    if let Some(message) = foreign_options(text) {
+/// A detector, or the sectors of one.
+#[derive(Debug, Clone)]
+pub struct DetectorGroup(pub Vec<Detector>);
+
+/// Reads `HAADF=68-200` or `DPC=0-21:4@45`.
+pub fn detector(text: &str) -> Parsed<DetectorGroup> {
+    // With sectors, DPC is a good name.
+    if let Some(message) = foreign_options(text).filter(|_| !text.contains(':')) {
         return Err(message.into());
     }
-    let detector = Detector::parse(text).map_err(|e| e.to_string())?;
-    plausible(simulation::check_detector(&detector), detector)
+    let detectors = Detector::parse_all(text).map_err(|e| e.to_string())?;
+    let plain = detectors.iter().try_for_each(simulation::check_detector);
+    plausible(plain, DetectorGroup(detectors))
 }
 
 /// Reads a semiangle in mrad.

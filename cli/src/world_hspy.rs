@@ -73,6 +73,7 @@ pub fn write_world(
             thicknesses_angstrom: &[],
             defocus_angstrom: None,
             annulus_mrad: Some([detector.inner_mrad, detector.outer_mrad]),
+            sector_degrees: detector.sector_degrees,
             electrons_per_pixel: dose
                 .map(|dose| dose * pixel * pixel)
                 .filter(|_| !name.ends_with(CLEAN)),

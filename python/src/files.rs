@@ -26,6 +26,7 @@ pub struct StackOptions {
     thicknesses_angstrom: Vec<f64>,
     defocus_angstrom: Option<f64>,
     annulus_mrad: Option<[f64; 2]>,
+    sector_degrees: Option<[f64; 2]>,
     electrons_per_pixel: Option<f64>,
 }
 
@@ -69,6 +70,7 @@ impl StackOptions {
             thicknesses_angstrom: &self.thicknesses_angstrom,
             defocus_angstrom: self.defocus_angstrom,
             annulus_mrad: self.annulus_mrad,
+            sector_degrees: self.sector_degrees,
             electrons_per_pixel: self.electrons_per_pixel,
         })
     }

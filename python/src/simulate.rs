@@ -63,6 +63,7 @@ pub fn simulate(
         item.set_item("counts", image.counts.map(|counts| counts.into_pyarray(py)))?;
         item.set_item("defocus_angstrom", image.defocus_angstrom)?;
         item.set_item("annulus_mrad", image.annulus_mrad)?;
+        item.set_item("sector_degrees", image.sector_degrees)?;
         listed.push(item);
     }
     let accuracy = job.accuracies().iter().map(serde_json::to_string);

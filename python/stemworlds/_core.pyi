@@ -116,6 +116,7 @@ class SimulatedImage(TypedDict):
     counts: npt.NDArray[np.uint32] | None
     defocus_angstrom: float
     annulus_mrad: list[float]
+    sector_degrees: list[float] | None
 
 class SimulatedImages(_SharedFacts):
     images: list[SimulatedImage]
@@ -247,6 +248,7 @@ class ImageStack(TypedDict):
     thicknesses_angstrom: list[float]
     defocus_angstrom: float | None
     annulus_mrad: tuple[float, float] | None
+    sector_degrees: tuple[float, float] | None
     electrons_per_pixel: float | None
 
 class HspyOptions(TypedDict):

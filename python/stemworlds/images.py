@@ -102,6 +102,7 @@ class Image:
             "thicknesses_angstrom": list(self.thicknesses_angstrom) or [0.0] * len(data),
             "defocus_angstrom": self.metadata.get("defocus_angstrom"),
             "annulus_mrad": self.metadata.get("annulus_mrad"),
+            "sector_degrees": self.metadata.get("sector_degrees"),
             "electrons_per_pixel": self.electrons_per_pixel if self._is_noisy else None,
         }
 

@@ -20,7 +20,7 @@ from .images import DiffractionPattern, Image, Images, PlaneWave
 
 Engine = Literal["multislice", "prism", "window"]
 Sigma = float | Mapping[str, float] | Literal["from-file", "table"]
-Detectors = Mapping[str, tuple[float, float]]
+Detectors = Mapping[str, tuple[float, float] | tuple[float, float, int] | tuple[float, float, int, float]]
 Aberrations = Mapping[str, float | tuple[float, float]]
 
 
@@ -79,7 +79,9 @@ class SimulationOptions(TypedDict, total=False):
         focal_spread_angstrom: standard deviation of the focus.
         source_size_angstrom: full width at half maximum of the electron source; by default a point source.
         source_lorentz: share of the source's intensity in a Lorentzian with long tails, 0 to 1.
-        detectors: inner and outer angle in mrad by name. Default ``{"HAADF": (68, 200)}``.
+        detectors: inner and outer angle in mrad by name. Default ``{"HAADF": (68, 200)}``. A third number divides the annulus into
+            that many equal sectors, a fourth is the azimuth in degrees at which the first begins, from +x towards +y:
+            ``{"DPC": (0, 21, 4, 45)}`` gives the images ``DPC_0`` to ``DPC_3``.
         allow_empty_angles: continue if a detector extends beyond the band limit of the grid.
 
     Results:
@@ -215,7 +217,9 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
         data, counts = item["data"], item["counts"]
         if len(thicknesses) == 1:
             data, counts = data[0], None if counts is None else counts[0]
-        more = {"defocus_angstrom": item["defocus_angstrom"], "annulus_mrad": tuple(item["annulus_mrad"])}
+        more: dict[str, Any] = {"defocus_angstrom": item["defocus_angstrom"], "annulus_mrad": tuple(item["annulus_mrad"])}
+        if item["sector_degrees"] is not None:
+            more["sector_degrees"] = tuple(item["sector_degrees"])
         images[item["name"]] = Image(
             name=item["name"],
             array=data,
@@ -467,8 +471,17 @@ def _sigma(sigma: Any) -> Any:
 def _detectors(detectors: Any) -> list[dict[str, Any]]:
     listed = []
     for name, angles in detectors.items():
-        inner, outer = _pair("detectors", angles)
-        listed.append({"name": name, "inner_mrad": inner, "outer_mrad": outer})
+        sectors = list(angles)[2:] if isinstance(angles, (tuple, list)) and len(angles) < 5 else []
+        inner, outer = _pair("detectors", angles[:2] if sectors else angles)
+        whole = {"name": name, "inner_mrad": inner, "outer_mrad": outer}
+        if not sectors:
+            listed.append(whole)
+            continue
+        count = _whole("detectors", sectors[0], 2, 360)
+        first = float(sectors[1]) if len(sectors) > 1 else 0.0
+        for n in range(count):
+            edges = [first + 360.0 * n / count, first + 360.0 * (n + 1) / count]
+            listed.append({**whole, "name": f"{name}_{n}", "sector_degrees": edges})
     return listed
 
 

@@ -46,25 +46,18 @@ impl VirtualDetector {
     /// # Errors
     /// [`Error::Invalid`] for anything else, and for less than 2 or more than 360 sectors.
     pub fn sectors(text: &str) -> Result<Vec<Self>> {
-        let bad = || {
+        if !text.contains(':') {
             let expected = "write INNER-OUTER:SECTORS, or INNER-OUTER:SECTORS@DEGREES: 0-21:4@45";
-            Error::invalid(Setting::Detector, text, expected)
-        };
-        let (ring, rest) = text.split_once(':').ok_or_else(bad)?;
-        let (number, first) = rest.split_once('@').unwrap_or((rest, "0"));
-        let number: usize = number.trim().parse().map_err(|_| bad())?;
-        let first: f64 = first.trim().parse().map_err(|_| bad())?;
-        if !(2..=360).contains(&number) || !first.is_finite() {
-            return Err(bad());
+            return Err(Error::invalid(Setting::Detector, text, expected));
         }
-        let ring = Self::annulus(ring)?;
-        let width = 360.0 / number as f64;
-        let sector = |n: usize| VirtualDetector {
-            name: format!("{}_{n}", ring.name),
-            sector_degrees: Some([first + n as f64 * width, first + (n + 1) as f64 * width]),
-            ..ring.clone()
+        let found = super::Detector::parse_all(text)?;
+        let sector = |found: super::Detector| VirtualDetector {
+            name: found.name,
+            annulus_mrad: [found.inner_mrad, found.outer_mrad],
+            sector_degrees: found.sector_degrees,
+            centre_mrad: [0.0; 2],
         };
-        Ok((0..number).map(sector).collect())
+        Ok(found.into_iter().map(sector).collect())
     }
 
     /// Whether the detector is a whole ring around the optical axis.

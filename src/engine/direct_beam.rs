@@ -38,7 +38,7 @@ pub fn direct_share(settings: &Settings, detector: &Detector) -> f64 {
         let outer = outer.min(semiangle);
         share * (outer * outer - inner * inner).max(0.0) / semiangle.powi(2)
     };
-    detector.annuli(semiangle).into_iter().map(part).sum()
+    detector.azimuth_share() * detector.annuli(semiangle).into_iter().map(part).sum::<f64>()
 }
 
 /// The share of a probe in the middle of its window or box that falls on each detector without a specimen.

@@ -193,10 +193,10 @@ impl Plan {
     pub(super) fn detector_map(&self, grid: &Grid, stride: usize, ramp_mrad: f64) -> DetectorMap {
         let wavelength = self.settings.optics.wavelength_angstrom();
         let limit_mrad = self.cutoff_mrad();
-        let pattern = Pattern { shape: grid.shape(), stride, limit_mrad, ramp_mrad };
+        let pixel_mrad = grid.dk().map(|dk| dk * wavelength * 1e3);
+        let pattern = Pattern { shape: grid.shape(), stride, limit_mrad, ramp_mrad, pixel_mrad };
         DetectorMap::new(&self.settings.detectors, pattern, |iy, ix| {
-            let [kx, ky] = grid.k(iy, ix);
-            kx.hypot(ky) * wavelength * 1e3
+            grid.k(iy, ix).map(|k| k * wavelength * 1e3)
         })
     }
 

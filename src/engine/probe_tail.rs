@@ -180,7 +180,7 @@ fn cross_sections(plan: &Plan, sites: &[Site], detector: &Detector) -> Result<BT
             let [inner, outer] = range.map(|angle| angle * per_mrad);
             share * cross_section(&factor, sigma, inner, outer)
         });
-        Ok((number, parts.sum()))
+        Ok((number, detector.azimuth_share() * parts.sum::<f64>()))
     };
     elements.into_iter().map(section).collect()
 }

@@ -199,6 +199,9 @@ fn write_instrument(metadata: &Group, series: &ImageSeries, facts: &HspyFacts) -
         let detector = hdf5_create::group(&tem, "Detector")?;
         text(&detector, "name", series.name.strip_suffix("_noisy").unwrap_or(&series.name))?;
         number(&detector, "inner_angle_mrad", inner)?;
+        if let Some(sector) = stack.sector_degrees {
+            detector.new_attr_builder().with_data(&sector).create("sector_degrees")?;
+        }
         number(&detector, "outer_angle_mrad", outer)?;
     }
     Ok(())

@@ -119,6 +119,8 @@ pub struct ImageStack<'a> {
     pub defocus_angstrom: Option<f64>,
     /// Inner and outer angle of the detector in mrad.
     pub annulus_mrad: Option<[f64; 2]>,
+    /// Azimuths in degrees of a sector of the annulus.
+    pub sector_degrees: Option<[f64; 2]>,
     /// Electrons that fell on a pixel, for an image with noise.
     pub electrons_per_pixel: Option<f64>,
 }
@@ -366,7 +368,8 @@ fn describe(dataset: &Dataset, stack: &ImageStack) -> hdf5::Result<()> {
             number(dataset, "inner_mrad", inner)?;
             number(dataset, "outer_mrad", outer)
         }
-    }
+    }?;
+    stack.sector_degrees.map_or(Ok(()), |sector| array(dataset, "sector_degrees", &sector))
 }
 
 fn describe_pixel(dataset: &Dataset, stack: &ImageStack) -> hdf5::Result<()> {

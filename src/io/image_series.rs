@@ -141,6 +141,7 @@ mod tests {
             thicknesses_angstrom: &[10.0, 20.004][..data.dim().0],
             defocus_angstrom,
             annulus_mrad: None,
+            sector_degrees: None,
             electrons_per_pixel: None,
         }
     }

@@ -262,6 +262,7 @@ mod tests {
             thicknesses_angstrom: &[10.0, 20.0],
             defocus_angstrom: None,
             annulus_mrad: None,
+            sector_degrees: None,
             electrons_per_pixel: None,
         };
         for depth in [TiffDepth::Bits8, TiffDepth::Bits16, TiffDepth::Bits32] {

@@ -1,6 +1,6 @@
 //! Reads the detectors of a world file that has several.
 
-use hdf5::File;
+use hdf5::{File, Group};
 
 use super::hdf5_guard::{self, Guarded, number};
 use super::schema;
@@ -29,11 +29,20 @@ pub(super) fn read(file: &File) -> Guarded<Vec<Detector>> {
         let group = Some(&group).filter(|_| plain).and_then(|g| g.group(&name).ok());
         let angle = |which: &str| number::<f64>(group.as_ref()?, which).filter(|v| v.is_finite());
         match (angle("inner_mrad"), angle("outer_mrad")) {
-            (Some(inner), Some(outer)) => Ok(Detector::new(&name, inner, outer)),
+            (Some(inner), Some(outer)) => {
+                let sector_degrees = group.as_ref().and_then(sector);
+                Ok(Detector { sector_degrees, ..Detector::new(&name, inner, outer) })
+            }
             _ => Err(unusable(&format!("has no usable group for `{name}`"))),
         }
     };
     names.into_iter().map(detector).collect()
+}
+
+/// Returns the azimuths of a sector.
+fn sector(group: &Group) -> Option<[f64; 2]> {
+    let values = group.attr("sector_degrees").ok()?.read_raw::<f64>().ok()?;
+    <[f64; 2]>::try_from(values).ok().filter(|ends| ends.iter().all(|v| v.is_finite()))
 }
 
 impl WorldFile {

@@ -279,6 +279,9 @@ fn write_detectors(file: &File, detectors: &[Detector], keep_clean: bool) -> hdf
         let group = hdf5_create::group(&all, &detector.name)?;
         number(&group, "inner_mrad", detector.inner_mrad)?;
         number(&group, "outer_mrad", detector.outer_mrad)?;
+        if let Some(sector) = detector.sector_degrees {
+            group.new_attr_builder().with_data(&sector).create("sector_degrees")?;
+        }
         if n == 0 {
             let clean = keep_clean.then_some(schema::CLEAN);
             for name in [schema::TILES, schema::OVERVIEW].into_iter().chain(clean) {

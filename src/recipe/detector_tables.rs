@@ -17,6 +17,9 @@ const MOST_DETECTORS: usize = 16;
 const LONGEST_NAME: usize = 32;
 /// Largest number of angles in a response.
 const MOST_ANGLES: usize = 1000;
+/// Largest number of sectors of a detector, and of images of a recipe.
+const MOST_SECTORS: usize = 16;
+const MOST_IMAGES: usize = 64;
 /// Largest angle of a detector in mrad, and least width.
 const LARGEST_MRAD: f64 = 1000.0;
 const LEAST_WIDTH_MRAD: f64 = 0.1;
@@ -34,7 +37,7 @@ pub struct DetectorTable {
     pub response: Vec<[f64; 2]>,
 }
 
-/// One of several annular detectors.
+/// One of several detectors: an annulus, or its sectors.
 #[derive(Debug, Clone, PartialEq, Serialize, DeriveDeserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NamedDetectorTable {
@@ -47,6 +50,23 @@ pub struct NamedDetectorTable {
     /// Share of the electrons that the detector counts at some angles, `[[mrad, share], ...]`; without it all electrons are counted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub response: Vec<[f64; 2]>,
+    /// Number of equal sectors into which the annulus is divided, each with an image: `NAME_0`, `NAME_1`, ...
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sectors: Option<usize>,
+    /// Azimuth in degrees at which the first sector begins, from +x towards +y, which points down; 0 when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub first_sector_deg: Option<f64>,
+}
+
+impl NamedDetectorTable {
+    fn detectors(&self) -> Vec<Detector> {
+        let whole = Detector::new(&self.name, self.inner_mrad, self.outer_mrad);
+        let whole = whole.with_response(self.response.clone());
+        match self.sectors {
+            None => vec![whole],
+            Some(sectors) => whole.divided(sectors, self.first_sector_deg.unwrap_or(0.0)),
+        }
+    }
 }
 
 /// The detectors of a recipe.
@@ -73,20 +93,18 @@ impl DetectorTables {
                 vec![detector.with_response(d.response.clone())]
             }
             DetectorTables::Several(tables) => {
-                let of = |d: &NamedDetectorTable| {
-                    let detector = Detector::new(&d.name, d.inner_mrad, d.outer_mrad);
-                    detector.with_response(d.response.clone())
-                };
-                tables.iter().map(of).collect()
+                tables.iter().flat_map(NamedDetectorTable::detectors).collect()
             }
         }
     }
 
-    /// Returns the number of detectors.
+    /// Returns the number of detectors; each sector is one.
     pub fn count(&self) -> usize {
         match self {
             DetectorTables::One(_) => 1,
-            DetectorTables::Several(tables) => tables.len(),
+            DetectorTables::Several(tables) => {
+                tables.iter().map(|table| table.sectors.unwrap_or(1)).sum()
+            }
         }
     }
 
@@ -165,8 +183,49 @@ pub fn check_detectors(detectors: &DetectorTables) -> Checked {
             return fault("detector", value, expected);
         }
         check_response(&table.response)?;
+        check_sectors(n, table)?;
     }
-    Ok(())
+    check_names(tables)
+}
+
+/// Checks the number of sectors and their first azimuth.
+fn check_sectors(n: usize, table: &NamedDetectorTable) -> Checked {
+    let Some(sectors) = table.sectors else {
+        return match table.first_sector_deg {
+            None => Ok(()),
+            Some(_) => {
+                fault("detector.first_sector_deg", "(given)", "expected it beside `sectors`")
+            }
+        };
+    };
+    if n == 0 {
+        let expected = "the first detector is the main one, whose image overviews and agents see; expected a whole annulus, and sectors of later ones";
+        return fault("detector.sectors", sectors, expected);
+    }
+    if !(2..=MOST_SECTORS).contains(&sectors) {
+        return fault("detector.sectors", sectors, format!("expected 2 to {MOST_SECTORS} sectors"));
+    }
+    within("detector.first_sector_deg", table.first_sector_deg.unwrap_or(0.0), -360.0, 360.0)
+}
+
+/// Checks that all images together have different names, and are not too many.
+fn check_names(tables: &[NamedDetectorTable]) -> Checked {
+    let names: Vec<String> = tables
+        .iter()
+        .flat_map(NamedDetectorTable::detectors)
+        .map(|d| d.name.to_ascii_lowercase())
+        .collect();
+    if names.len() > MOST_IMAGES {
+        let expected = format!("expected at most {MOST_IMAGES} detectors and sectors together");
+        return fault("detector", format!("{} images", names.len()), expected);
+    }
+    match names.iter().enumerate().find(|(n, name)| names[..*n].contains(name)) {
+        None => Ok(()),
+        Some((_, name)) => {
+            let expected = "a sector would have the name of another detector; rename one of the two";
+            fault("detector.name", name, expected)
+        }
+    }
 }
 
 /// Checks that angles rise, that shares lie between 0 and 1, and that some electrons are counted.
@@ -225,6 +284,27 @@ mod tests {
         assert!(two.to_toml().contains("[[detector]]\nname = \"ABF\""), "{}", two.to_toml());
         assert_eq!(Recipe::from_toml_str("copy", &two.to_toml(), None).unwrap(), two);
         assert_eq!(two.detector.main_alone().all(), expected[..1]);
+    }
+
+    #[test]
+    fn sectors_are_detectors_of_their_own() {
+        let sectors = TWO.replace("outer_mrad=21", "outer_mrad=21,sectors=4,first_sector_deg=45");
+        let recipe = with(&sectors).unwrap();
+        let all = recipe.detector.all();
+        assert_eq!((all.len(), recipe.detector.count()), (5, 5));
+        assert_eq!((all[4].name.as_str(), all[4].sector_degrees), ("ABF_3", Some([315.0, 405.0])));
+        assert_eq!(recipe.detector.main_alone().count(), 1);
+        assert_eq!(Recipe::from_toml_str("copy", &recipe.to_toml(), None).unwrap(), recipe);
+        for (value, part) in [
+            (sectors.replace("=4", "=1"), "expected 2 to 16 sectors"),
+            (sectors.replace("sectors=4,", ""), "beside `sectors`"),
+            (sectors.replace("=45", "=900"), "first_sector_deg"),
+            (TWO.replace("200}", "200,sectors=4}"), "the first detector is the main one"),
+            (sectors.replace("\"HAADF\"", "\"abf_1\""), "the name of another detector"),
+        ] {
+            let message = with(&value).unwrap_err().to_string();
+            assert!(message.contains(part), "{value}: {message}");
+        }
     }
 
     #[test]

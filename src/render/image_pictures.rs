@@ -187,6 +187,7 @@ mod tests {
             thicknesses_angstrom: &[10.0],
             defocus_angstrom: Some(defocus),
             annulus_mrad: None,
+            sector_degrees: None,
             electrons_per_pixel: None,
         };
         let both =

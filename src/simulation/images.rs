@@ -24,6 +24,8 @@ pub struct SimulatedImage {
     pub defocus_angstrom: f64,
     /// Inner and outer angle in mrad of a detector.
     pub annulus_mrad: Option<[f64; 2]>,
+    /// Azimuths in degrees of a sector of this annulus.
+    pub sector_degrees: Option<[f64; 2]>,
     /// Counted electrons if the request gives a dose: (thickness, y, x).
     pub counts: Option<Array3<u32>>,
     /// Whether the image shows the counted electrons of another image.

@@ -248,6 +248,7 @@ impl SimulationJob {
                     units: images::FRACTION_OF_BEAM,
                     defocus_angstrom: self.request.microscope.defocus_angstrom[p],
                     annulus_mrad: Some([detector.inner_mrad, detector.outer_mrad]),
+                    sector_degrees: detector.sector_degrees,
                     counts: None,
                     noisy: false,
                 });
@@ -293,6 +294,7 @@ impl SimulationJob {
             units: images::OF_INCIDENT_WAVE,
             defocus_angstrom: self.request.microscope.defocus_angstrom[p],
             annulus_mrad: None,
+            sector_degrees: None,
             counts: None,
             noisy: false,
         };

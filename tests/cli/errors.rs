@@ -77,7 +77,7 @@ fn hints_stand_only_where_they_help() {
     assert!(told.contains("--dosis") && !told.contains("as a value"), "{told}");
     for (arguments, part) in [
         (["--pixelated", "1"], "`stemgen patterns` simulates diffraction patterns"),
-        (["--detector", "DPC=0-20"], "`stemgen integrate FILE.emd --sectors"),
+        (["--detector", "DPC=0-20"], "--detector DPC=0-21:4@45 of `stemgen simulate`"),
         (["--beam-tilt", "3"], "take another --zone"),
     ] {
         let told = fails(stemgen(here).args(["simulate", si]).args(arguments));

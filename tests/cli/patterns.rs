@@ -77,6 +77,45 @@ fn patterns_are_written_for_other_programs_and_make_images() {
     assert!(all.contains("images/icom (1, 3, 4)"), "{all}");
 }
 
+/// The images of sectors that `simulate` makes are those that are made of patterns, whose pixels cut the edges otherwise.
+#[test]
+fn sectors_of_images_and_of_patterns_agree() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    silicon(here);
+    let scan = &SMALL[..9];
+    let exact = ["--engine", "multislice"];
+    let patterns = ["--pixels", "96", "--max-angle", "40", "-o", "p.emd"];
+    done(here, &[&["patterns", "si.cif"], scan, &exact, &patterns].concat());
+    done(here, &["integrate", "p.emd", "--sectors", "DPC=5-21:4@30", "-o", "a.h5"]);
+    let detector = ["--detector", "DPC=5-21:4@30", "-o", "b.h5"];
+    let made = done(here, &[&["simulate", "si.cif"], scan, &exact, &detector].concat());
+    assert_eq!(made["images"].as_array().unwrap().len(), 4, "{made}");
+    let images = |name: &str| {
+        let file = hdf5::File::open(here.join(name)).unwrap();
+        let one = |n: usize| {
+            let image = file.dataset(&format!("images/DPC_{n}")).unwrap();
+            let azimuths = image.attr("sector_degrees").unwrap().read_raw::<f64>().unwrap();
+            assert_eq!(azimuths[0], 30.0 + 90.0 * n as f64);
+            image.read_raw::<f32>().unwrap()
+        };
+        [0, 1, 2, 3].map(one)
+    };
+    let (of_patterns, direct) = (images("a.h5"), images("b.h5"));
+    let mut spread: f32 = 0.0;
+    for (a, b) in of_patterns.iter().zip(&direct) {
+        assert_eq!((a.len(), b.len()), (12, 12));
+        for (a, b) in a.iter().zip(b) {
+            assert!((a / b - 1.0).abs() < 0.03, "{a} {b}");
+        }
+    }
+    for n in 0..12 {
+        let [low, high] = [f32::min, f32::max].map(|pick| direct.iter().map(|d| d[n]).reduce(pick));
+        spread = spread.max(high.unwrap() / low.unwrap());
+    }
+    assert!(spread > 1.2, "{spread}");
+}
+
 #[test]
 fn electrons_are_counted_at_every_thickness_and_defocus() {
     let folder = tempfile::tempdir().unwrap();

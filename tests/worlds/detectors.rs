@@ -136,6 +136,43 @@ fn a_file_holds_each_detector_with_scaling_and_noise_of_its_own() {
     assert!(file.dataset("detectors/ABF/overview").is_ok());
 }
 
+/// Sectors of a world: their sum is the image of the annulus, a mosaic makes them as windows do, and the file has their azimuths.
+#[test]
+fn sectors_add_to_their_annulus_and_carry_their_azimuths() {
+    let folder = tempfile::tempdir().unwrap();
+    let sectors = THREE.replace(
+        "outer_mrad=21.0}]",
+        "outer_mrad=21.0},{name=\"DPC\",inner_mrad=10.0,outer_mrad=21.0,sectors=4,first_sector_deg=45.0}]",
+    );
+    let recipe = tiny(&[&sectors]);
+    let direct = built(folder.path(), "w.h5", &recipe, &options(BuildMethod::Window));
+    let mosaic = built(folder.path(), "m.h5", &recipe, &options(BuildMethod::Mosaic));
+    let names: Vec<&str> = direct.detectors().iter().map(|d| d.name.as_str()).collect();
+    assert_eq!(names, ["HAADF", "ADF", "ABF", "DPC_0", "DPC_1", "DPC_2", "DPC_3"]);
+    let of = |world: &WorldFile, name: &str| clean(&world.on_detector(name).unwrap());
+    for world in [&direct, &mosaic] {
+        assert_eq!(world.detectors()[4].sector_degrees, Some([135.0, 225.0]));
+        let whole = of(world, "ABF");
+        let parts: Vec<Array2<f32>> = (0..4).map(|n| of(world, &format!("DPC_{n}"))).collect();
+        let sum = &(&parts[0] + &parts[1]) + &(&parts[2] + &parts[3]);
+        let worst = (&sum / &whole).iter().map(|v| (v - 1.0).abs()).fold(0.0, f32::max);
+        assert!(worst < 2e-3, "{worst}");
+        // The beam is deflected: opposite sectors differ, on average they do not.
+        let difference = (&parts[0] - &parts[2]) / &whole;
+        let rms = difference.mapv(|v| v * v).mean().unwrap().sqrt();
+        assert!(rms > 0.01 && difference.mean().unwrap().abs() < 0.5 * rms, "{rms}");
+    }
+    for name in ["DPC_0", "DPC_3"] {
+        let [a, b] = [&direct, &mosaic].map(|world| of(world, name));
+        let off = (&a - &b).mapv(|v| v * v).mean().unwrap().sqrt() / a.mean().unwrap();
+        assert!(off < 0.05, "{name}: {off}");
+    }
+    let file = hdf5::File::open(direct.path()).unwrap();
+    let group = file.group("detectors/DPC_1").unwrap();
+    let azimuths = group.attr("sector_degrees").unwrap().read_raw::<f64>().unwrap();
+    assert_eq!(azimuths, [135.0, 225.0]);
+}
+
 #[test]
 fn a_table_and_an_array_of_the_same_detector_give_the_same_tiles() {
     let folder = tempfile::tempdir().unwrap();

@@ -49,7 +49,9 @@ impl SurfaceImager {
     /// beam: independent scattering does not describe any other.
     pub fn can_cover(recipe: &CheckedRecipe) -> bool {
         let detectors = recipe.detector.all();
-        let dark = |d: &Detector| d.inner_mrad > recipe.optics.convergence_mrad;
+        let dark = |d: &Detector| {
+            d.inner_mrad > recipe.optics.convergence_mrad && d.sector_degrees.is_none()
+        };
         recipe.surface.is_none() || (detectors.len() == 1 && detectors.iter().all(dark))
     }
 

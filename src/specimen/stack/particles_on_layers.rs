@@ -113,14 +113,14 @@ fn made_particle(
         }
     };
     let radius = 0.5 * wanted_nm / NM;
+    let volume = 4.0 / 3.0 * std::f64::consts::PI * radius * radius * radius;
     let own = match &checked.form {
         ParticleForm::Wulff(unit) => {
-            let volume = 4.0 / 3.0 * std::f64::consts::PI * radius * radius * radius;
             let body = ParticleBody::Polyhedron(unit.scaled(libm::cbrt(volume)));
-            crystal_particle(&checked.structure, &body)
+            crystal_particle(&checked.structure, &body, volume)
         }
         ParticleForm::Sphere => {
-            crystal_particle(&checked.structure, &ParticleBody::Sphere(radius))
+            crystal_particle(&checked.structure, &ParticleBody::Sphere(radius), volume)
         }
         ParticleForm::Cluster(morphology, metal) => {
             let cluster: Cluster = build(*morphology, metal, wanted_nm, given.diameter_nm)?;
