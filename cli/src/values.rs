@@ -8,7 +8,7 @@ use stemgen::detect::Detector;
 use stemgen::detectability::AskedDefect;
 use stemgen::engine::{Expansion, ProbeStep};
 use stemgen::files::Shard;
-use stemgen::io::tiff_file::TiffDepth;
+use stemgen::io::TiffDepth;
 use stemgen::optics::Aberration;
 use stemgen::potential::projected::Projection;
 use stemgen::potential::scattering::Parametrization;

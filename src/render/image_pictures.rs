@@ -9,10 +9,8 @@ use super::html::{ImageOfStack, StackPage};
 use super::{Contrast, Picture};
 use crate::error::{Error, Result};
 use crate::files::atomic_write;
-use crate::io::WorldFile;
-use crate::io::image_file::ImageStack;
-use crate::io::image_series::ImageSeries;
-use crate::io::schema::OVERVIEW_FACTOR;
+use crate::io::{ImageSeries, ImageStack, WorldFile};
+use crate::recipe::OVERVIEW_FACTOR;
 
 /// Pixels that are not square by more than this are resampled.
 const SQUARE: f64 = 1.005;

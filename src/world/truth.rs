@@ -4,9 +4,10 @@ use super::field_recording::{FieldRecording, region_of};
 use crate::acquisition::{ScanFrame, ScanPath};
 use crate::error::Result;
 use crate::imaging::pixels::PixelRect;
-use crate::io::schema::{CompositionText, DefectName, MorphologyName, atom_type};
+use crate::io::schema::{CompositionText, DefectName, MorphologyName};
 use crate::io::{
     DislocationRow, LayerRow, LineKind, ParticleBatch, TruthBatch, TruthWriter, WorldWriter,
+    atom_type,
 };
 use crate::progress::Progress;
 use crate::recipe::{Field, Region};
