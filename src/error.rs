@@ -154,11 +154,11 @@ impl Error {
         Error::Parse { path: path.to_owned(), line, message: message.into() }
     }
     /// Builds an [`Error::Choice`].
-    pub fn choice(path: &Path, setting: Setting, message: impl Into<String>) -> Self {
+    pub(crate) fn choice(path: &Path, setting: Setting, message: impl Into<String>) -> Self {
         Error::Choice { path: path.to_owned(), setting, message: message.into() }
     }
     /// Builds an [`Error::Set`].
-    pub fn set(assignment: &str, message: impl Into<String>) -> Self {
+    pub(crate) fn set(assignment: &str, message: impl Into<String>) -> Self {
         Error::Set { assignment: assignment.to_owned(), message: message.into() }
     }
     /// Builds an [`Error::Hdf5`].

@@ -21,29 +21,32 @@ pub mod simulator;
 pub mod source_imager;
 pub mod turned_raster;
 
-pub use audit::kept_audits::KeptAudits;
-pub use audit::region_audit::{AUDIT_REMEDY, Audit, AuditOptions, audit, audit_cost};
-pub use choose::{ChosenImager, ImagingCheck, ImagingChoice, MethodChoice};
+pub(crate) use audit::kept_audits::KeptAudits;
+pub(crate) use audit::region_audit::{AUDIT_REMEDY, audit_cost};
+pub use audit::region_audit::{Audit, AuditOptions, audit};
+pub(crate) use choose::ChosenImager;
+pub use choose::{ImagingCheck, ImagingChoice, MethodChoice};
 pub use direct::DirectImager;
 pub use displaced_atoms::DisplacedAtoms;
 pub use film::film_imager::FilmImager;
-pub use film::grown_carbon::{CarbonPatch, GrownCarbon, MOST_GROWN_ANGSTROM};
+pub(crate) use film::grown_carbon::MOST_GROWN_ANGSTROM;
+pub use film::grown_carbon::{CarbonPatch, GrownCarbon};
 pub use film::surface_imager::SurfaceImager;
 pub use imaging_cost::{ImagingCost, SimulationRuns};
 pub use mosaic::image_library::RecomputedImage;
 pub use mosaic::image_note::NewImages;
-pub use mosaic::library_cache::{CACHE_VARIABLE, Cache, CacheFault, Holding};
+pub use mosaic::library_cache::{Cache, CacheFault, Holding};
 pub use mosaic::mosaic_cost::MosaicCost;
 pub use mosaic::mosaic_imager::MosaicImager;
-pub use mosaic::shared_cells::SharedCells;
+pub(crate) use mosaic::shared_cells::SharedCells;
 #[cfg(feature = "hdf5")]
-pub use mosaic::supplied_library::{LIBRARY_VARIABLE, SuppliedLibrary};
-pub use noise::{MOST_ELECTRONS_PER_PIXEL, Noise, check_countable};
+pub use mosaic::supplied_library::SuppliedLibrary;
+pub(crate) use noise::{Noise, check_countable};
 pub use one_detector::OneDetector;
 pub use pixels::{PixelBox, PixelRect};
 pub use region_imager::{
     DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, RegionImager, SharedLibrary,
 };
 pub use simulator::Simulator;
-pub use source_imager::SourceImager;
-pub use turned_raster::{TurnedRaster, overview_image, turned_image};
+pub(crate) use turned_raster::overview_image;
+pub use turned_raster::{TurnedRaster, turned_image};

@@ -92,7 +92,7 @@ impl DetectorTables {
 
     /// Returns the table with the main detector alone.
     #[must_use]
-    pub fn main_alone(&self) -> Self {
+    pub(crate) fn main_alone(&self) -> Self {
         match self {
             DetectorTables::One(_) => self.clone(),
             DetectorTables::Several(tables) => {
@@ -129,7 +129,7 @@ impl<'de> Visitor<'de> for TableOrArray {
 }
 
 /// Checks the limits of names and angles.
-pub fn check_detectors(detectors: &DetectorTables) -> Checked {
+pub(crate) fn check_detectors(detectors: &DetectorTables) -> Checked {
     let tables = match detectors {
         DetectorTables::One(d) => {
             within("detector.inner_mrad", d.inner_mrad, 0.0, LARGEST_MRAD)?;

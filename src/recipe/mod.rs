@@ -38,7 +38,7 @@ pub use checked::CheckedRecipe;
 pub use crystal_source::CrystalSource;
 pub use detector_tables::{DetectorTable, DetectorTables, NamedDetectorTable};
 pub use difficulty::Difficulty;
-pub use limits::BEYOND_FIELD_NM;
+pub(crate) use limits::BEYOND_FIELD_NM;
 pub use optics_table::OpticsTable;
 pub use origin::RecipeOrigin;
 pub use overrides::Override;

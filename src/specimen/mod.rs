@@ -36,8 +36,10 @@ pub use damaged::{damaged_specimen::DamagedSpecimen, dose_map::DoseMap};
 pub(crate) use factory::LAID_OUT;
 pub use factory::specimen;
 pub use sites::{DISPLACED_NM, SiteKind, SpecimenSite};
+pub(crate) use specimen_trait::outlines_in;
 pub use specimen_trait::{
     Boundary, BoundaryKind, DislocationTruth, ExpectedSites, LayerTruth, ParticleOutline,
-    ParticleTruth, Specimen, SpecimenFacts, SpecimenLayout, StackTruth, ThinFilm, outlines_in,
+    ParticleTruth, Specimen, SpecimenFacts, SpecimenLayout, StackTruth, ThinFilm,
 };
+
 pub use surface_layers::{CarbonLayer, SurfaceLayers};

@@ -37,6 +37,7 @@ pub mod region_truth;
 pub mod specimen_drawing;
 #[cfg(feature = "hdf5")]
 mod subtile_store;
+#[cfg(feature = "hdf5")]
 pub mod subtiles;
 #[cfg(feature = "report")]
 mod training_file;
@@ -74,7 +75,7 @@ pub(crate) use field_tile::tile_of_image;
 pub use field_tile::{FieldTile, field_tile};
 pub use image_plan::ImagePlan;
 #[cfg(feature = "hdf5")]
-pub use made_world::{WorldEngine, imaging_of, planned_imaging};
+pub use made_world::{WorldEngine, imaging_of};
 pub use noise_free::{ImagerSource, NoiseFree};
 #[cfg(feature = "hdf5")]
 pub use publish::Companion;
@@ -100,4 +101,4 @@ pub use world_facts::{RecordingFacts, WorldFacts};
 #[cfg(feature = "hdf5")]
 pub use world_shard::ShardSummary;
 #[cfg(feature = "hdf5")]
-pub use world_source::WorldSource;
+pub(crate) use world_source::WorldSource;

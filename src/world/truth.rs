@@ -35,7 +35,7 @@ pub struct Counts {
 ///
 /// # Errors
 /// Errors of the writer, and [`crate::Error::Interrupted`].
-pub fn write(
+pub(crate) fn write(
     specimen: &dyn Specimen,
     field: &Field,
     writer: &WorldWriter,
@@ -95,7 +95,7 @@ fn appearance(path: &ScanPath, position_nm: [f32; 2]) -> [f32; 2] {
 ///
 /// # Errors
 /// Errors of the writer.
-pub fn write_recorded(
+pub(crate) fn write_recorded(
     specimen: &dyn Specimen,
     recording: &FieldRecording,
     origin_nm: [f64; 2],

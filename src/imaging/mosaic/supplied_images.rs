@@ -15,6 +15,6 @@ pub fn digest(material: &str, key: &str) -> [u8; 8] {
 }
 
 /// Whether the image of a material with this name in a cache is in the supplied library.
-pub fn is_supplied(material: &str, key: &str) -> bool {
+pub(crate) fn is_supplied(material: &str, key: &str) -> bool {
     DIGESTS.as_chunks().0.binary_search(&digest(material, key)).is_ok()
 }

@@ -1,7 +1,7 @@
 //! Units in which files give the size of a pixel.
 
 /// Edge of a pixel in nm, or the reason why it is not known.
-pub type StatedPixel = std::result::Result<f64, String>;
+pub(crate) type StatedPixel = std::result::Result<f64, String>;
 
 /// Largest relative difference of the sides of a square pixel.
 const SQUARE: f64 = 1e-3;

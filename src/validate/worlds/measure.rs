@@ -83,12 +83,12 @@ pub struct Measured {
 
 impl Measured {
     /// Height and width in nm.
-    pub fn extent_nm(&self) -> [f64; 2] {
+    pub(crate) fn extent_nm(&self) -> [f64; 2] {
         self.shape.map(|n| n as f64 * self.pixel_nm)
     }
 
     /// Returns the rates of a defect that this world does not have.
-    pub fn no_defects(&self) -> Vec<(f64, f64)> {
+    pub(crate) fn no_defects(&self) -> Vec<(f64, f64)> {
         self.site_counts.iter().map(|n| (0.0, *n)).collect()
     }
 }
@@ -138,7 +138,7 @@ impl Blocks {
 ///
 /// # Errors
 /// Errors of reading; [`Error::Invalid`] for an image with values that are not finite.
-pub fn measure(
+pub(crate) fn measure(
     world: &WorldFile,
     path: &Path,
     bands: &Bands,

@@ -18,7 +18,8 @@ use std::path::Path;
 
 use serde::Serialize;
 
-pub use measure::{Measured, measure};
+pub use measure::Measured;
+pub(crate) use measure::measure;
 pub use spectrum::Spectrum;
 pub use variation::Variation;
 

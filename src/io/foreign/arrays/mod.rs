@@ -99,7 +99,7 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
 }
 
 /// Largest number of values in an array: 512 MiB in memory.
-pub const MOST_VALUES: usize = 1 << 26;
+pub(crate) const MOST_VALUES: usize = 1 << 26;
 /// Largest number of axes of an array; NumPy allows no more.
 const MOST_AXES: usize = 64;
 
@@ -130,7 +130,7 @@ impl ArrayAxis {
     }
 
     /// Returns the dimensions that are named x and y.
-    pub fn x_and_y(axes: &[ArrayAxis]) -> Option<[usize; 2]> {
+    pub(crate) fn x_and_y(axes: &[ArrayAxis]) -> Option<[usize; 2]> {
         x_and_y(axes.iter().map(|axis| axis.label.as_str()))
     }
 }
@@ -150,7 +150,7 @@ impl ForeignArray {
     }
 
     /// Returns an error that names the array's file and the setting that has to be chosen.
-    pub fn choice(&self, setting: Setting, message: impl Into<String>) -> Error {
+    pub(crate) fn choice(&self, setting: Setting, message: impl Into<String>) -> Error {
         Error::choice(&self.path, setting, message)
     }
 

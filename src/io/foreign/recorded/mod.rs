@@ -31,7 +31,7 @@ use std::path::{Path, PathBuf};
 use ndarray::Array2;
 
 use crate::error::{Error, Result};
-pub use crate::io::foreign::length_units::StatedPixel;
+pub(crate) use crate::io::foreign::length_units::StatedPixel;
 use crate::io::foreign::length_units::square_nm;
 use crate::io::foreign::named_axes::{NamedAxis, x_and_y};
 use hdf5_source::Hdf5Source;
@@ -60,7 +60,7 @@ pub enum RecordedFormat {
 
 impl RecordedFormat {
     /// Returns the name of the format in words.
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             RecordedFormat::Dm3 => "DM3",
             RecordedFormat::Dm4 => "DM4",

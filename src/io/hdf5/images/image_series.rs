@@ -6,7 +6,7 @@ use super::image_file::ImageStack;
 
 /// An axis of a stack, other than y and x.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SeriesAxis {
+pub(crate) struct SeriesAxis {
     /// `defocus` or `thickness`.
     pub name: &'static str,
     /// One value for each image, in Angstrom.
@@ -46,12 +46,12 @@ impl<'s, 'a> ImageSeries<'s, 'a> {
     }
 
     /// Returns the first image, whose properties all images share.
-    pub fn first(&self) -> &'s ImageStack<'a> {
+    pub(crate) fn first(&self) -> &'s ImageStack<'a> {
         self.stacks[0]
     }
 
     /// Returns the axes before y and x. An axis with one value is left out.
-    pub fn axes(&self) -> Vec<SeriesAxis> {
+    pub(crate) fn axes(&self) -> Vec<SeriesAxis> {
         let mut axes = Vec::new();
         if self.stacks.len() > 1 {
             let values = self.stacks.iter().map(|stack| stack.defocus_angstrom.unwrap_or_default());
@@ -67,21 +67,21 @@ impl<'s, 'a> ImageSeries<'s, 'a> {
     }
 
     /// Returns the lengths of all axes; the last two are y and x.
-    pub fn shape(&self) -> Vec<usize> {
+    pub(crate) fn shape(&self) -> Vec<usize> {
         let (_, rows, columns) = self.first().data.dim();
         let along = self.axes().into_iter().map(|axis| axis.values_angstrom.len());
         along.chain([rows, columns]).collect()
     }
 
     /// Returns all values, with these axes.
-    pub fn data(&self) -> ArrayD<f32> {
+    pub(crate) fn data(&self) -> ArrayD<f32> {
         let values = self.stacks.iter().flat_map(|stack| stack.data.iter().copied()).collect();
         // The shape always fits the number of values; the empty array is never returned.
         ArrayD::from_shape_vec(self.shape(), values).unwrap_or_else(|_| ArrayD::zeros(vec![0, 0]))
     }
 
     /// Describes each image, in the order of the data: `defocus 50 A, thickness 20 A`; empty for one image.
-    pub fn labels(&self) -> Vec<String> {
+    pub(crate) fn labels(&self) -> Vec<String> {
         let mut labels = vec![String::new()];
         for axis in self.axes() {
             let add = |label: &String| {
@@ -98,7 +98,7 @@ impl<'s, 'a> ImageSeries<'s, 'a> {
 
 impl SeriesAxis {
     /// Returns first value and step, if the steps are equal to a thousandth.
-    pub fn even(&self) -> Option<[f64; 2]> {
+    pub(crate) fn even(&self) -> Option<[f64; 2]> {
         let [first, second, ..] = self.values_angstrom[..] else { return None };
         let step = second - first;
         let at = |n: usize| first + n as f64 * step;

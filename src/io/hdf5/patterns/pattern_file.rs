@@ -66,7 +66,7 @@ pub struct PatternHeader {
 
 /// What only a writer knows of a file.
 #[derive(Debug, Clone)]
-pub struct PatternOrigin<'a> {
+pub(crate) struct PatternOrigin<'a> {
     /// Command, request and atoms.
     pub origin: &'a Origin<'a>,
     /// How waves were propagated.
@@ -78,7 +78,7 @@ pub struct PatternOrigin<'a> {
 }
 
 /// A file of patterns that is being written.
-pub struct PatternWriter {
+pub(crate) struct PatternWriter {
     path: PathBuf,
     sink: PatternSink,
 }
@@ -95,7 +95,7 @@ enum PatternSink {
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Hdf5`], and errors of `fill`.
-pub fn write_patterns(
+pub(crate) fn write_patterns(
     files: &[(PathBuf, PatternHeader)],
     overwrite: bool,
     origin: &PatternOrigin<'_>,
@@ -164,7 +164,7 @@ impl PatternWriter {
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Hdf5`]; a sparse file, which holds counted electrons.
-    pub fn fractions(&mut self, first_row: usize, rows: ArrayView4<'_, f32>) -> Result<()> {
+    pub(crate) fn fractions(&mut self, first_row: usize, rows: ArrayView4<'_, f32>) -> Result<()> {
         match &mut self.sink {
             PatternSink::Hdf5(_, data) => put_rows(data, first_row, rows).at(&self.path),
             PatternSink::Empad(frames) => frames.put(rows, |v| v),
@@ -179,7 +179,7 @@ impl PatternWriter {
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Hdf5`].
-    pub fn counts(&mut self, first_row: usize, rows: ArrayView4<'_, u32>) -> Result<()> {
+    pub(crate) fn counts(&mut self, first_row: usize, rows: ArrayView4<'_, u32>) -> Result<()> {
         match &mut self.sink {
             PatternSink::Hdf5(_, data) => put_rows(data, first_row, rows).at(&self.path),
             PatternSink::Empad(frames) => frames.put(rows, |v| v as f32),

@@ -49,7 +49,7 @@ impl PatternFormat {
     }
 
     /// Returns the ending, with the dot.
-    pub fn ending(self) -> &'static str {
+    pub(crate) fn ending(self) -> &'static str {
         match self {
             PatternFormat::Emd => ".emd",
             PatternFormat::Hspy => ".hspy",
@@ -59,7 +59,7 @@ impl PatternFormat {
     }
 
     /// Returns the further files that belong to a file of this kind.
-    pub fn companions(self, path: &Path) -> Vec<PathBuf> {
+    pub(crate) fn companions(self, path: &Path) -> Vec<PathBuf> {
         match self {
             PatternFormat::Emd | PatternFormat::Hspy => Vec::new(),
             PatternFormat::SparseCsr => ["indptr", "indices", "values"]
@@ -78,7 +78,7 @@ impl PatternFormat {
     /// # Errors
     /// [`Error::Invalid`] for rings in other files than `.emd`, for sparse files of patterns that are not counted, and for EMPAD files of
     /// other patterns than 128 x 128.
-    pub fn check(self, header: &PatternHeader) -> Result<()> {
+    pub(crate) fn check(self, header: &PatternHeader) -> Result<()> {
         let bad =
             |expected: &str| Err(Error::invalid(Setting::OutputName, self.ending(), expected));
         let pixels = match header.detector {

@@ -38,7 +38,7 @@ const CHUNK_PX: usize = 512;
 
 /// Contents of a file of a recording, except the ground truth.
 #[derive(Debug, Clone)]
-pub struct RecordingFile<'a> {
+pub(crate) struct RecordingFile<'a> {
     /// The command as typed.
     pub command_line: String,
     /// The recipe as TOML.
@@ -71,7 +71,7 @@ pub struct RecordingFile<'a> {
 
 /// Changes from recording to recording of a series.
 #[derive(Debug, Clone)]
-pub struct SeriesPart<'a> {
+pub(crate) struct SeriesPart<'a> {
     /// The noise-free image at the beginning of each recording: (recording, row, column).
     pub ideal: &'a Array3<f32>,
     /// Vacant sites of the columns of the ground truth at the beginning of each recording: (recording, column).
@@ -89,7 +89,7 @@ pub struct SeriesPart<'a> {
 ///
 /// # Errors
 /// [`crate::Error::Io`], [`crate::Error::Hdf5`], and errors of `truth`.
-pub fn write_recording(
+pub(crate) fn write_recording(
     path: &Path,
     overwrite: bool,
     recording: &RecordingFile,

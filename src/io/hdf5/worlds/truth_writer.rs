@@ -21,7 +21,7 @@ const TRUTH_CHUNK: usize = 16_384;
 
 /// The parts that a polyline of the ground truth separates.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum LineKind<'a> {
+pub(crate) enum LineKind<'a> {
     /// Two grains: rotation in degrees and coincidence index.
     Grains(f64, Option<u32>),
     /// Two phases: names left and right of it, and the width of the transition in nm.
@@ -52,7 +52,7 @@ pub struct ParticleBatch {
 
 /// Sites of some columns, in the order of the file.
 #[derive(Debug, Clone, Default)]
-pub struct TruthBatch {
+pub(crate) struct TruthBatch {
     /// Positions (x, y) in nm.
     pub positions: Vec<[f32; 2]>,
     /// Depth below the entrance surface in nm.
@@ -76,7 +76,7 @@ pub struct TruthBatch {
 }
 
 /// The ground truth of a file that is being written.
-pub struct TruthWriter {
+pub(crate) struct TruthWriter {
     pub(super) path: PathBuf,
     /// Shape [rows, columns] of the image, and of the chunks of datasets with that shape.
     shape: [[usize; 2]; 2],
@@ -150,7 +150,7 @@ impl TruthWriter {
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
-    pub fn append(&self, batch: &TruthBatch) -> Result<()> {
+    pub(crate) fn append(&self, batch: &TruthBatch) -> Result<()> {
         self.append_lists(batch).at(&self.path)
     }
 
@@ -158,7 +158,7 @@ impl TruthWriter {
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
-    pub fn places_alone(&self, positions_nm: &[[f32; 2]]) -> Result<()> {
+    pub(crate) fn places_alone(&self, positions_nm: &[[f32; 2]]) -> Result<()> {
         let count = positions_nm.len();
         let write = || {
             append_pairs(&self.site_pairs, positions_nm)?;
@@ -178,7 +178,7 @@ impl TruthWriter {
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
-    pub fn unit_cells(
+    pub(crate) fn unit_cells(
         &self,
         polarisations: &[[f32; 2]],
         intensities: &[(String, Vec<f32>)],
@@ -207,7 +207,7 @@ impl TruthWriter {
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
-    pub fn append_appearances(&self, places_px: &[[f32; 2]]) -> Result<()> {
+    pub(crate) fn append_appearances(&self, places_px: &[[f32; 2]]) -> Result<()> {
         let write = || {
             let columns = self.group.group(schema::COLUMNS)?;
             let places = match columns.dataset(APPEARANCES) {
@@ -229,7 +229,7 @@ impl TruthWriter {
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
-    pub fn appearances_of_frames(&self, places_px: &Array3<f64>) -> Result<()> {
+    pub(crate) fn appearances_of_frames(&self, places_px: &Array3<f64>) -> Result<()> {
         let write = || {
             let columns = self.group.group(schema::COLUMNS)?;
             let data = places_px.mapv(|v| v as f32);
@@ -244,7 +244,7 @@ impl TruthWriter {
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
-    pub fn drift(&self, lines: &[[f64; 3]]) -> Result<()> {
+    pub(crate) fn drift(&self, lines: &[[f64; 3]]) -> Result<()> {
         let write = || {
             let data = ArrayView2::from_shape((lines.len(), 3), lines.as_flattened())
                 .map_err(|e| hdf5::Error::Internal(e.to_string()))?;
@@ -260,7 +260,7 @@ impl TruthWriter {
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
-    pub fn boundary(&self, line: &[[f32; 2]], kind: LineKind) -> Result<()> {
+    pub(crate) fn boundary(&self, line: &[[f32; 2]], kind: LineKind) -> Result<()> {
         let write = || {
             let group = match kind {
                 LineKind::Grains(..) => self.grain_boundaries.clone(),
@@ -298,7 +298,7 @@ impl TruthWriter {
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
-    pub fn create_phase_map(&self, phases: &[String]) -> Result<()> {
+    pub(crate) fn create_phase_map(&self, phases: &[String]) -> Result<()> {
         let write = || {
             let ([shape, chunk], name) = (self.shape, schema::PHASE_MAP);
             let map = compressed::<i32>(&self.group, name, shape.into(), &chunk)?;
@@ -313,7 +313,7 @@ impl TruthWriter {
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
-    pub fn phase_rows(&self, first: usize, rows: ArrayView2<i32>) -> Result<()> {
+    pub(crate) fn phase_rows(&self, first: usize, rows: ArrayView2<i32>) -> Result<()> {
         let write = || {
             let map = self.group.dataset(schema::PHASE_MAP)?;
             map.write_slice(rows, ndarray::s![first..first + rows.nrows(), ..])
@@ -325,7 +325,7 @@ impl TruthWriter {
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
-    pub fn clusters(&self, centres_nm: &[[f32; 2]]) -> Result<()> {
+    pub(crate) fn clusters(&self, centres_nm: &[[f32; 2]]) -> Result<()> {
         let write = || {
             let list = position_list(&self.group, schema::CLUSTER_POSITIONS)?;
             list.resize((centres_nm.len(), 2))?;
@@ -338,7 +338,7 @@ impl TruthWriter {
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`].
-    pub fn particles(&self, particles: &ParticleBatch) -> Result<()> {
+    pub(crate) fn particles(&self, particles: &ParticleBatch) -> Result<()> {
         let write = || {
             let group = hdf5_create::group(&self.group, schema::PARTICLES)?;
             let new = || group.new_dataset_builder();

@@ -22,7 +22,7 @@ impl WorldFile {
     ///
     /// # Errors
     /// [`Error::Parse`] for a damaged file.
-    pub fn contents(&self) -> Result<BTreeMap<String, String>> {
+    pub(crate) fn contents(&self) -> Result<BTreeMap<String, String>> {
         let refused = |fault: String| Error::parse(self.path(), 0, fault);
         contents_of(&self.file, self.path(), self.bytes).map_err(refused)
     }

@@ -82,7 +82,12 @@ impl WorldFile {
     ///
     /// # Errors
     /// [`Error::Invalid`].
-    pub fn check_finite(&self, part: &Array2<f32>, first: [usize; 2], clean: bool) -> Result<()> {
+    pub(crate) fn check_finite(
+        &self,
+        part: &Array2<f32>,
+        first: [usize; 2],
+        clean: bool,
+    ) -> Result<()> {
         let Some(((row, column), value)) = part.indexed_iter().find(|(_, v)| !v.is_finite()) else {
             return Ok(());
         };
@@ -156,7 +161,7 @@ impl WorldFile {
     ///
     /// # Errors
     /// [`Error::Choice`].
-    pub fn need_clean(&self) -> Result<()> {
+    pub(crate) fn need_clean(&self) -> Result<()> {
         let message = "holds no noiseless image; build the world again and keep that image too";
         match self.has_clean() {
             true => Ok(()),
@@ -221,13 +226,13 @@ impl WorldFile {
     }
 
     /// Returns the number of image pixels along an edge of an overview pixel, as given in the file.
-    pub fn overview_factor(&self) -> Option<u64> {
+    pub(crate) fn overview_factor(&self) -> Option<u64> {
         let overview = self.dataset(&self.of_images(schema::OVERVIEW)).ok()?;
         hdf5_guard::number(&overview, "factor")
     }
 
     /// Returns the pixel (row, column) of the recipe's whole field at which the image begins, as given in the file.
-    pub fn origin_px(&self) -> Option<[f64; 2]> {
+    pub(crate) fn origin_px(&self) -> Option<[f64; 2]> {
         let metadata = self.file.group(schema::METADATA).ok()?;
         hdf5_guard::pair(&metadata, "origin_px_in_full_field")
     }

@@ -30,7 +30,7 @@ impl WorldFile {
     ///
     /// # Errors
     /// [`crate::Error::Invalid`] with the name of the first dataset of another type or shape.
-    pub fn check_types(&self) -> Result<usize> {
+    pub(crate) fn check_types(&self) -> Result<usize> {
         let [rows, columns] = self.metadata.grid_shape;
         let images = [schema::TILES, schema::CLEAN].map(|group| self.of_images(group));
         let mut checked = 0;

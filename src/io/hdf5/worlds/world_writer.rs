@@ -19,7 +19,7 @@ const DEFLATE: u8 = 1;
 
 /// Description of a world.
 #[derive(Debug, Clone, Default)]
-pub struct Header {
+pub(crate) struct Header {
     /// Edge of a pixel in nm.
     pub pixel_size_nm: f64,
     /// Edge of a tile in pixels.
@@ -51,7 +51,7 @@ pub struct Header {
 }
 
 /// A world file that is being written.
-pub struct WorldWriter {
+pub(crate) struct WorldWriter {
     path: PathBuf,
     file: File,
     detectors: Vec<Detector>,
@@ -76,7 +76,7 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub fn create(path: &Path, header: &Header, keep_clean: bool) -> Result<Self> {
+    pub(crate) fn create(path: &Path, header: &Header, keep_clean: bool) -> Result<Self> {
         let stride = header.tile_size_px - header.overlap_px;
         let shape = header.grid_shape.map(|n| n * stride + header.overlap_px);
         let make = || -> hdf5::Result<WorldWriter> {
@@ -107,7 +107,7 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub fn next_detector(&mut self, number: usize, keep_clean: bool) -> Result<()> {
+    pub(crate) fn next_detector(&mut self, number: usize, keep_clean: bool) -> Result<()> {
         let name = self.detectors.get(number).map_or("", |d| d.name.as_str());
         let make = || -> hdf5::Result<(Group, (Group, Option<Group>))> {
             let group = self.file.group(&schema::detector_group(name))?;
@@ -122,7 +122,7 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub fn scaling(&self, scale: f64, offset: f64) -> Result<()> {
+    pub(crate) fn scaling(&self, scale: f64, offset: f64) -> Result<()> {
         let write = || {
             number(&self.tiles, "scale", scale)?;
             number(&self.tiles, "offset", offset)?;
@@ -136,7 +136,7 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub fn scaling_of_recorded(&self, scale: f64, offset: f64) -> Result<()> {
+    pub(crate) fn scaling_of_recorded(&self, scale: f64, offset: f64) -> Result<()> {
         let write = || {
             number(&self.tiles, "recorded_scale", scale)?;
             number(&self.tiles, "recorded_offset", offset)?;
@@ -153,7 +153,7 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub fn tile(&self, row: usize, column: usize, pixels: ArrayView2<f32>) -> Result<()> {
+    pub(crate) fn tile(&self, row: usize, column: usize, pixels: ArrayView2<f32>) -> Result<()> {
         write_tile(&self.tiles, row, column, pixels).at(&self.path)
     }
 
@@ -161,7 +161,12 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub fn clean_tile(&self, row: usize, column: usize, pixels: ArrayView2<f32>) -> Result<()> {
+    pub(crate) fn clean_tile(
+        &self,
+        row: usize,
+        column: usize,
+        pixels: ArrayView2<f32>,
+    ) -> Result<()> {
         match &self.clean {
             Some(group) => write_tile(group, row, column, pixels).at(&self.path),
             None => Ok(()),
@@ -172,7 +177,7 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub fn overview(&self, pixels: ArrayView2<f32>) -> Result<()> {
+    pub(crate) fn overview(&self, pixels: ArrayView2<f32>) -> Result<()> {
         let write = || {
             let builder = self.images.new_dataset_builder().shuffle().deflate(DEFLATE);
             let dataset = builder.with_data(pixels).create(schema::OVERVIEW)?;
@@ -186,7 +191,7 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub fn valid_rows(&self, first: usize, rows: ArrayView2<bool>) -> Result<()> {
+    pub(crate) fn valid_rows(&self, first: usize, rows: ArrayView2<bool>) -> Result<()> {
         let selection = ndarray::s![first..first + rows.nrows(), ..];
         self.valid.write_slice(&rows.as_standard_layout(), selection).at(&self.path)
     }
@@ -195,7 +200,7 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub fn recorded(
+    pub(crate) fn recorded(
         &self,
         acquisition: &Acquisition,
         exposure: &Exposure,
@@ -215,7 +220,7 @@ impl WorldWriter {
     }
 
     /// Returns the writer of the ground truth.
-    pub fn truth(&self) -> &TruthWriter {
+    pub(crate) fn truth(&self) -> &TruthWriter {
         &self.truth
     }
 
@@ -223,7 +228,7 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`], [`Error::Io`].
-    pub fn finish(self) -> Result<()> {
+    pub(crate) fn finish(self) -> Result<()> {
         let path = self.path.clone();
         self.file.flush().at(&path)?;
         drop(self);
