@@ -95,8 +95,8 @@
 //! list (`tests/house.rs` checks this):
 //!
 //! - `constants`: physical constants
-//! - [`setting`]: names of settings, for errors
-//! - [`error`]: errors with the fault and the remedy
+//! - `setting`: names of settings, for errors
+//! - `error`: errors with the fault and the remedy
 //! - [`rng`]: random numbers that depend on names, not on the order of drawing
 //! - `made_once`: values that are made at their first request and kept
 //! - `simd`: vector instructions of the machine
@@ -150,7 +150,7 @@ pub mod damage;
 pub mod detect;
 pub mod detectability;
 pub mod engine;
-pub mod error;
+mod error;
 mod fft;
 pub mod files;
 pub mod imaging;
@@ -172,7 +172,7 @@ pub mod render;
 pub mod replay;
 mod resample;
 pub mod rng;
-pub mod setting;
+mod setting;
 mod simd;
 pub mod simulation;
 pub mod specimen;

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use stemgen::detect::{DetectorMtf, PatternDetector};
 use stemgen::files::outputs::check_outputs;
-use stemgen::files::whole_file::read_text;
+use stemgen::files::read_text;
 use stemgen::io::{PatternFormat, PatternRun, WrittenPatterns};
 use stemgen::progress::Progress;
 use stemgen::render::image_pictures;

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use ndarray::{Array2, Axis};
 
+use stemgen::Result;
 use stemgen::detect::Detector;
 use stemgen::engine::check_memory;
-use stemgen::error::Result;
 use stemgen::io::{HspyFacts, ImageStack, WorldFile, create_hspy};
 use stemgen::recipe::CheckedRecipe;
 

@@ -181,7 +181,7 @@ pub struct Settings {
     /// a hard edge. abTEM has 0.02. Detectors have to end below it.
     pub band_taper: f64,
     /// `None`: potentials are smoothed before `exp(i sigma V)`, and the cores of the atoms added in closed form
-    /// ([`crate::potential::cores`]). Where that does not apply (finite projection, heavy atoms on top of each
+    /// (`potential/cores.rs`). Where that does not apply (finite projection, heavy atoms on top of each
     /// other in one slice), it is a number that makes the grid finer than 0.0125 A.
     ///
     /// A number: potentials are exponentiated on a grid finer by this factor along each axis, then the band is limited.

@@ -4,7 +4,7 @@
 //! specimens are only made from checked recipes.
 
 mod atoms_recipe;
-pub mod atoms_table;
+pub(crate) mod atoms_table;
 mod checked;
 mod checking;
 mod checking_amorphous;
@@ -14,23 +14,23 @@ mod checking_extended;
 mod checking_interfaces;
 mod checking_particles;
 mod checking_stack;
-pub mod crystal_source;
-pub mod detector_tables;
-pub mod difficulty;
+mod crystal_source;
+mod detector_tables;
+mod difficulty;
 mod fault;
-pub mod limits;
-pub mod optics_table;
+pub(crate) mod limits;
+mod optics_table;
 mod oriented_crystals;
 mod origin;
-pub mod overrides;
+mod overrides;
 mod reading;
-pub mod region;
-pub mod resolved_recipe;
+pub(crate) mod region;
+pub(crate) mod resolved_recipe;
 mod shipped_recipe;
-pub mod stack_table;
-pub mod stacked_crystals;
-pub mod surface_table;
-pub mod tables;
+pub(crate) mod stack_table;
+pub(crate) mod stacked_crystals;
+mod surface_table;
+pub(crate) mod tables;
 mod toml_errors;
 
 pub use atoms_table::{AtomsTable, is_atoms_file};

@@ -6,8 +6,8 @@
 mod alternatives;
 mod atom_check;
 mod cif;
-pub mod coincidence;
-pub mod columns;
+pub(crate) mod coincidence;
+pub(crate) mod columns;
 pub mod crystals;
 mod debye_waller;
 pub mod direction;

@@ -2,29 +2,33 @@
 //! two worlds; and the reports that show them.
 //!
 //! The suite ([`suite::cases`]) is one list that users run (`stemgen validate`) and tests run. Each case returns `Findings`: numbers with
-//! their limits, and figures. [`user`] reads an image of another program, [`image_comparison`] compares it and [`explain`] searches the
-//! reason of a difference; [`worlds`] compares two world files by statistics, [`soundness`] checks one; [`manifest`] recognises released
+//! their limits, and figures. [`user`] reads an image of another program, [`image_comparison`] compares it and `explain` searches the
+//! reason of a difference; [`worlds`] compares two world files by statistics, `soundness` checks one; `manifest` recognises released
 //! worlds by their digests. [`report`] makes one HTML page of any result.
 
 mod check_runner;
-pub mod difference;
-pub mod explain;
-pub mod field_waves;
+mod difference;
+mod explain;
+mod field_waves;
 pub mod golden;
 pub mod image_comparison;
-pub mod likely_settings;
-pub mod manifest;
+mod likely_settings;
+mod manifest;
 mod pinned_contents;
 pub mod report;
-pub mod soundness;
-pub mod statistics;
+mod soundness;
+mod statistics;
 pub mod suite;
 mod truth_soundness;
 pub mod user;
 pub mod worlds;
 
 pub(crate) use check_runner::CheckRunner;
+pub use difference::Difference;
+pub use manifest::{Manifest, PinnedSameness, PinnedWorld};
 pub use pinned_contents::PinnedContents;
+pub use soundness::{CheckOutcome, WorldCheck, check_world};
+pub use statistics::Ratio;
 
 use ndarray::Array2;
 use serde::Serialize;

@@ -10,7 +10,7 @@ use stemgen::io::{HspyFacts, ImageStack, WorldFile, atom_type, schema, write_hsp
 use stemgen::progress::Silent;
 use stemgen::recipe::Recipe;
 use stemgen::replay::{PixelOrigin, ReplayOptions, ReplayWorld, calibrate};
-use stemgen::validate::soundness::{CheckOutcome, check_world};
+use stemgen::validate::{CheckOutcome, check_world};
 use stemgen::world::BuildOptions;
 
 fn named(name: &str) -> ImageChoice {

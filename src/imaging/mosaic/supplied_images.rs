@@ -1,7 +1,7 @@
 //! The list of supplied images, independent of the files on this machine.
 //!
 //! The method by which a field is imaged must not depend on the contents of a disk. So the program contains the names of the images of its
-//! library (`library/`, [`super::supplied_library`]) as digests of eight bytes each, ascending.
+//! library (`library/`, `supplied_library`) as digests of eight bytes each, ascending.
 
 use sha2::{Digest, Sha256};
 

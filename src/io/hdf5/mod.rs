@@ -1,6 +1,6 @@
 //! HDF5: access to files that may be damaged or locked, and the files of [`images`], [`patterns`] and [`worlds`].
 
-pub(crate) mod hdf5_create;
+mod hdf5_create;
 mod hdf5_errors;
 mod hdf5_filters;
 pub(crate) mod hdf5_guard;

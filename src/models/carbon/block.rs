@@ -1,6 +1,6 @@
 //! The periodic block of amorphous carbon that is installed with the program.
 //!
-//! It was made by `structures/amorphous_carbon.rs` ([`super::melt`]). Positions are stored as sixteen-bit fractions of the edge,
+//! It was made by `structures/amorphous_carbon.rs` (`melt`). Positions are stored as sixteen-bit fractions of the edge,
 //! little-endian, three for each atom: steps of 0.001 A.
 
 use std::sync::LazyLock;
