@@ -9,10 +9,10 @@ use ndarray::s;
 use std::path::Path;
 use std::time::Instant;
 use stemgen::engine::{
-    Algorithm, Expansion, Phonons, Plan, ProbeBox, ProbeStep, Scan, Settings, Site, simulate,
+    Algorithm, Expansion, Phonons, Plan, ProbeBox, ProbeStep, Scan, Settings, simulate,
 };
 use stemgen::progress::Silent;
-use stemgen::structure::{self, elements};
+use stemgen::structure::{self, Site, elements};
 
 struct Case {
     name: &'static str,

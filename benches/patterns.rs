@@ -5,11 +5,13 @@
 
 use ndarray::{Array2, Axis};
 use stemgen::detect::{Detector, PixelatedDetector};
-use stemgen::engine::patterns::{PatternSettings, simulate_patterns};
-use stemgen::engine::{Algorithm, Expansion, Phonons, Plan, ProbeBox, Scan, Settings, Site};
+use stemgen::engine::{
+    Algorithm, Expansion, PatternSettings, Phonons, Plan, ProbeBox, Scan, Settings,
+    simulate_patterns,
+};
 use stemgen::optics::Aberrations;
 use stemgen::progress::Silent;
-use stemgen::structure::{Sigmas, crystals};
+use stemgen::structure::{Sigmas, Site, crystals};
 
 const CELLS: usize = 16;
 const EDGE: f64 = 3.905;
@@ -81,7 +83,7 @@ fn patterns(
     let detector = PixelatedDetector { pixels: 64, max_angle_mrad: 100.0 };
     let started = std::time::Instant::now();
     let mut all = Vec::new();
-    let mut take = |rows: stemgen::engine::patterns::PatternRows<'_>| {
+    let mut take = |rows: stemgen::engine::PatternRows<'_>| {
         let last = rows.data.index_axis(Axis(0), 0);
         for row in last.outer_iter() {
             all.extend(row.outer_iter().map(|pattern| pattern.to_owned()));

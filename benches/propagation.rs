@@ -6,9 +6,10 @@
 
 use std::time::Duration;
 use stemgen::detect::Detector;
-use stemgen::engine::settings::DEFAULT_BAND_FRACTION;
-use stemgen::engine::{Algorithm, GridChoice, Plan, Settings, measure_speed};
-use stemgen::potential::slices::Slicing;
+use stemgen::engine::{
+    Algorithm, DEFAULT_BAND_FRACTION, GridChoice, Plan, Settings, measure_speed,
+};
+use stemgen::potential::Slicing;
 
 const SIZES: [usize; 15] =
     [128, 160, 192, 256, 320, 384, 480, 512, 540, 640, 768, 960, 1152, 1400, 1536];

@@ -5,10 +5,10 @@
 //! cell, and where the atoms of each window are. Against slices of 0.02 A: rms error of bright pixels (above 40 % of the maximum) relative to
 //! their own intensity, their mean error, rms error of all pixels over the maximum and over the mean, and CPU seconds (Linux; 0 elsewhere).
 
-use stemgen::engine::phonons::displaced;
-use stemgen::engine::{Algorithm, Plan, ProbeStep, Scan, Settings, Site, simulate};
-use stemgen::potential::slices::Slicing;
+use stemgen::engine::{Algorithm, Plan, ProbeStep, Scan, Settings, displaced, simulate};
+use stemgen::potential::Slicing;
 use stemgen::progress::Silent;
+use stemgen::structure::Site;
 
 /// Edges of the box in Angstrom, atoms, and the scan.
 struct Case {

@@ -1,24 +1,24 @@
 //! Physical constants (CODATA 2018), and functions of the beam energy.
 
 /// Largest atomic number in the tables of scattering factors.
-pub const MAX_ATOMIC_NUMBER: u8 = 103;
+pub(crate) const MAX_ATOMIC_NUMBER: u8 = 103;
 /// Rest energy of the electron in eV.
-pub const ELECTRON_REST_ENERGY_EV: f64 = 510_998.95;
+pub(crate) const ELECTRON_REST_ENERGY_EV: f64 = 510_998.95;
 /// Planck's constant times the speed of light in eV Angstrom.
-pub const HC_EV_ANGSTROM: f64 = 12_398.419_843_320_026;
+pub(crate) const HC_EV_ANGSTROM: f64 = 12_398.419_843_320_026;
 /// `h^2 / (2 pi m_e e)` in V Angstrom^2: turns a scattering factor in Angstrom into the Fourier
 /// transform of a projected potential in V Angstrom^3.
-pub const POTENTIAL_PER_SCATTERING_FACTOR: f64 = 47.877_645;
+pub(crate) const POTENTIAL_PER_SCATTERING_FACTOR: f64 = 47.877_645;
 
 /// Relativistic electron wavelength in Angstrom,
 /// `hc / sqrt(E (E + 2 m c^2))` (Kirkland 2010, eq. 2.5).
-pub fn wavelength_angstrom(energy_ev: f64) -> f64 {
+pub(crate) fn wavelength_angstrom(energy_ev: f64) -> f64 {
     HC_EV_ANGSTROM / (energy_ev * (energy_ev + 2.0 * ELECTRON_REST_ENERGY_EV)).sqrt()
 }
 
 /// Interaction parameter `sigma = 2 pi m e lambda / h^2` (relativistic m) in rad / (V Angstrom)
 /// (Kirkland 2010, eq. 5.6).
-pub fn interaction_parameter(energy_ev: f64) -> f64 {
+pub(crate) fn interaction_parameter(energy_ev: f64) -> f64 {
     let gamma = 1.0 + energy_ev / ELECTRON_REST_ENERGY_EV;
     gamma * wavelength_angstrom(energy_ev) / POTENTIAL_PER_SCATTERING_FACTOR
 }

@@ -11,10 +11,12 @@ use crate::setting::Setting;
 use num_complex::Complex32;
 use serde::{Deserialize, Serialize};
 
-pub use detector_mtf::{DetectorMtf, MtfFilter, MtfWorkspace};
+pub use detector_mtf::DetectorMtf;
+pub(crate) use detector_mtf::MtfFilter;
 pub use pattern_detector::PatternDetector;
-pub use pixelated::{MOST_PIXELS, PixelatedDetector};
-pub use radial_bins::{MOST_RINGS, RadialBins};
+pub(crate) use pixelated::MOST_PIXELS;
+pub use pixelated::PixelatedDetector;
+pub use radial_bins::RadialBins;
 pub use virtual_detector::{
     VirtualDetector, centre_of_mass_mrad, integrated_centre_of_mass, weighted_sum,
 };
@@ -130,7 +132,7 @@ impl Detector {
     ///
     /// # Errors
     /// [`Error::Invalid`] for a name that no file can have, and for angles that form no annulus.
-    pub fn validate(&self) -> Result<()> {
+    pub(crate) fn validate(&self) -> Result<()> {
         let value = || format!("{}={}-{}", self.name, self.inner_mrad, self.outer_mrad);
         self.fault().map_or(Ok(()), |fault| Err(Error::invalid(Setting::Detector, value(), fault)))
     }
@@ -152,12 +154,13 @@ impl Detector {
             return Some("the outer angle is at most 1570 mrad, a right angle");
         }
         let sector = self.sector_degrees.unwrap_or([0.0, 360.0]);
-        let fits = sector.iter().all(|v| v.abs() <= 1080.0) && (1e-3..=360.0).contains(&(sector[1] - sector[0]));
+        let fits = sector.iter().all(|v| v.abs() <= 1080.0)
+            && (1e-3..=360.0).contains(&(sector[1] - sector[0]));
         (!fits).then_some("the azimuths of a sector must rise, by at most 360 degrees")
     }
 
     /// Whether `theta_mrad` falls on the detector.
-    pub fn contains(&self, theta_mrad: f64) -> bool {
+    pub(crate) fn contains(&self, theta_mrad: f64) -> bool {
         self.inner_mrad <= theta_mrad && theta_mrad < self.outer_mrad
     }
 
@@ -180,7 +183,7 @@ impl Detector {
 
     /// Divides the detector within `limit_mrad` into annuli (inner and outer angle in mrad, share that is counted): one without a response,
     /// else thin ones.
-    pub fn annuli(&self, limit_mrad: f64) -> Vec<([f64; 2], f64)> {
+    pub(crate) fn annuli(&self, limit_mrad: f64) -> Vec<([f64; 2], f64)> {
         let outer = self.outer_mrad.min(limit_mrad);
         if self.response.is_empty() {
             return vec![([self.inner_mrad, outer], 1.0)];
@@ -248,7 +251,7 @@ fn share_of_sector(at: [f64; 2], pixel: [f64; 2], [from, to]: [f64; 2]) -> f64 {
 
 /// For each detector, the pixels of a diffraction pattern that it collects.
 #[derive(Debug, Clone)]
-pub struct DetectorMap {
+pub(crate) struct DetectorMap {
     per_detector: Vec<Pixels>,
 }
 
@@ -262,7 +265,7 @@ struct Pixels {
 
 /// The layout of a diffraction pattern in FFT order (rows = ky, columns = kx), with the limits of its collection by detectors.
 #[derive(Debug, Clone, Copy)]
-pub struct Pattern {
+pub(crate) struct Pattern {
     /// (rows, columns)
     pub shape: (usize, usize),
     /// Elements from row to row.
@@ -278,7 +281,7 @@ pub struct Pattern {
 
 impl DetectorMap {
     /// Maps detectors onto a pattern; `angles_mrad(iy, ix)` are the angles (x, y) in mrad of the pixel in row iy, column ix.
-    pub fn new(
+    pub(crate) fn new(
         detectors: &[Detector],
         pattern: Pattern,
         angles_mrad: impl Fn(usize, usize) -> [f64; 2],
@@ -299,7 +302,7 @@ impl DetectorMap {
     }
 
     /// Writes the intensity on each detector to `out`: the sum of `scale |psi|^2` over its pixels. `psi` is a pattern of this map's layout.
-    pub fn collect(&self, psi: &[Complex32], scale: f64, out: &mut [f64]) {
+    pub(crate) fn collect(&self, psi: &[Complex32], scale: f64, out: &mut [f64]) {
         for (pixels, value) in self.per_detector.iter().zip(out) {
             let whole = |&(at, n): &(usize, usize)| f64::from(power(&psi[at..at + n]));
             let part = |&(at, w): &(usize, f32)| f64::from(w * psi[at].norm_sqr());
@@ -311,20 +314,11 @@ impl DetectorMap {
 
     /// Calls `put(detector, amplitudes)` with parts of a vector for each detector; the squared moduli of all its parts add
     /// to the intensity on the detector.
-    pub fn gather(&self, psi: &[Complex32], mut put: impl FnMut(usize, &[Complex32])) {
+    pub(crate) fn gather(&self, psi: &[Complex32], mut put: impl FnMut(usize, &[Complex32])) {
         for (d, pixels) in self.per_detector.iter().enumerate() {
             pixels.runs.iter().for_each(|&(at, n)| put(d, &psi[at..at + n]));
             pixels.edges.iter().for_each(|&(at, w)| put(d, &[psi[at] * w.sqrt()]));
         }
-    }
-
-    /// Number of pixels of each detector; pixels on its edges are counted in part.
-    pub fn pixels(&self) -> Vec<f64> {
-        let count = |p: &Pixels| {
-            let whole: usize = p.runs.iter().map(|r| r.1).sum();
-            whole as f64 + p.edges.iter().map(|e| f64::from(e.1)).sum::<f64>()
-        };
-        self.per_detector.iter().map(count).collect()
     }
 }
 
@@ -369,7 +363,8 @@ mod tests {
         };
         for ramp_mrad in [0.0, 2.0] {
             let pixel_mrad = [2.0; 2];
-            let pattern = Pattern { shape: (ny, nx), stride, limit_mrad: 1e9, ramp_mrad, pixel_mrad };
+            let pattern =
+                Pattern { shape: (ny, nx), stride, limit_mrad: 1e9, ramp_mrad, pixel_mrad };
             let map = DetectorMap::new(&detectors, pattern, angles);
             let psi: Vec<Complex32> =
                 (0..ny * stride).map(|i| Complex32::new((i % 13) as f32, 1.0)).collect();
@@ -377,8 +372,9 @@ mod tests {
             map.collect(&psi, 2.0, &mut sums);
             assert!((sums[0] + sums[1] + sums[2] - sums[3]).abs() < 1e-6 * sums[3]);
             assert!(sums[..3].iter().all(|s| *s > 0.0));
-            let p = map.pixels();
-            assert!((p[0] + p[1] + p[2] - p[3]).abs() < 1e-3);
+            let even = vec![Complex32::ONE; ny * stride];
+            let mut p = [0.0; 4];
+            map.collect(&even, 1.0, &mut p);
             // Sectors divide each annulus, and have the share of their azimuths of the area.
             for (sectors, first) in [(4, 0.0), (4, 45.0), (3, -20.0), (7, 33.3)] {
                 let divided = detectors[1].divided(sectors, first);
@@ -386,7 +382,9 @@ mod tests {
                 let mut parts = vec![0.0; sectors];
                 map.collect(&psi, 2.0, &mut parts);
                 assert!((parts.iter().sum::<f64>() - sums[1]).abs() < 1e-6 * sums[1]);
-                for share in map.pixels() {
+                let mut shares = vec![0.0; sectors];
+                map.collect(&even, 1.0, &mut shares);
+                for share in shares {
                     assert!((share * sectors as f64 / p[1] - 1.0).abs() < 0.06, "{share} {}", p[1]);
                 }
                 // A quadrant is a quarter, whatever its first azimuth.

@@ -117,13 +117,12 @@ pub enum Error {
         needed_angstrom: f64,
     },
     /// HDF5 library failure.
-    #[cfg(feature = "hdf5")]
     #[error("{}: HDF5: {source}", path.display())]
     Hdf5 {
         /// The file.
         path: PathBuf,
         /// The library's reason.
-        source: hdf5::Error,
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// The user has stopped the computation.
     #[error("interrupted")]
@@ -155,17 +154,17 @@ impl Error {
         Error::Parse { path: path.to_owned(), line, message: message.into() }
     }
     /// Builds an [`Error::Choice`].
-    pub fn choice(path: &Path, setting: Setting, message: impl Into<String>) -> Self {
+    pub(crate) fn choice(path: &Path, setting: Setting, message: impl Into<String>) -> Self {
         Error::Choice { path: path.to_owned(), setting, message: message.into() }
     }
     /// Builds an [`Error::Set`].
-    pub fn set(assignment: &str, message: impl Into<String>) -> Self {
+    pub(crate) fn set(assignment: &str, message: impl Into<String>) -> Self {
         Error::Set { assignment: assignment.to_owned(), message: message.into() }
     }
     /// Builds an [`Error::Hdf5`].
     #[cfg(feature = "hdf5")]
-    pub fn hdf5(path: &Path, source: hdf5::Error) -> Self {
-        Error::Hdf5 { path: path.to_owned(), source }
+    pub(crate) fn hdf5(path: &Path, source: hdf5::Error) -> Self {
+        Error::Hdf5 { path: path.to_owned(), source: Box::new(source) }
     }
 }
 

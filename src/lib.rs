@@ -94,9 +94,9 @@
 //! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file. A room uses only rooms above it in this
 //! list (`tests/house.rs` checks this):
 //!
-//! - [`constants`]: physical constants
-//! - [`setting`]: names of settings, for errors
-//! - [`error`]: errors with the fault and the remedy
+//! - `constants`: physical constants
+//! - `setting`: names of settings, for errors
+//! - `error`: errors with the fault and the remedy
 //! - [`rng`]: random numbers that depend on names, not on the order of drawing
 //! - `made_once`: values that are made at their first request and kept
 //! - `simd`: vector instructions of the machine
@@ -104,12 +104,12 @@
 //! - [`progress`]: reports of long computations, and their interruption
 //! - [`numerics`]: the version of pixel values
 //! - [`files`]: files that are written as a whole or not at all, locks, disk space
-//! - [`fft`]: Fourier transforms in two dimensions
+//! - `fft`: Fourier transforms in two dimensions
 //! - [`structure`]: atoms in a cell; CIF, XYZ and POSCAR; zone axes, supercells, columns
 //! - [`models`]: atoms from models of the program: carbon films, particles
 //! - [`potential`]: scattering factors, slices, projected potentials
 //! - [`optics`]: the lens: aperture and aberrations; mistilt and focal spread
-//! - [`resample`]: interpolation of images between probes
+//! - `resample`: interpolation of images between probes
 //! - [`acquisition`]: from the noise-free image to the recording: scan errors, doses, detectors
 //! - [`damage`]: the probability that an electron displaces an atom
 //! - [`detect`]: annular, pixelated and virtual detectors
@@ -140,15 +140,18 @@
 //!
 //! The program `stemgen` is the crate `stemgen-cli` beside this one.
 
+// Only `report` has a user for everything: without it, functions of the rooms below stay unused.
+#![cfg_attr(not(feature = "report"), allow(dead_code, unused_imports))]
+
 pub mod acquisition;
 pub mod benchmark;
-pub mod constants;
+mod constants;
 pub mod damage;
 pub mod detect;
 pub mod detectability;
 pub mod engine;
-pub mod error;
-pub mod fft;
+mod error;
+mod fft;
 pub mod files;
 pub mod imaging;
 pub mod io;
@@ -167,9 +170,9 @@ pub mod recipe;
 pub mod render;
 #[cfg(feature = "report")]
 pub mod replay;
-pub mod resample;
+mod resample;
 pub mod rng;
-pub mod setting;
+mod setting;
 mod simd;
 pub mod simulation;
 pub mod specimen;

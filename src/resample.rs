@@ -21,11 +21,11 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Number of samples, along each axis, from which a value is interpolated.
-pub const TAPS: usize = 16;
+pub(crate) const TAPS: usize = 16;
 /// Number of these samples on either side of a position far from edges.
-pub const HALF_WIDTH: usize = TAPS / 2;
+pub(crate) const HALF_WIDTH: usize = TAPS / 2;
 /// Number of samples that an image that is not periodic should have beyond the first and the last position.
-pub const MARGIN: usize = 3;
+pub(crate) const MARGIN: usize = 3;
 /// Steps of the tabulated kernel between two samples. Linear interpolation between them has an error of 2e-6.
 const PHASES: usize = 512;
 /// Step times band limit of the default (see [`Kernel`]).
@@ -37,18 +37,18 @@ const MOST_PRODUCT: f64 = 0.5;
 const NOISE: f64 = 1e-7;
 
 /// The highest spatial frequency in STEM images, in 1/Angstrom, for any detector, thickness and defocus.
-pub fn image_band_limit(optics: &Optics) -> f64 {
+pub(crate) fn image_band_limit(optics: &Optics) -> f64 {
     2e-3 * optics.semiangle_mrad / optics.wavelength_angstrom()
 }
 
 /// The Nyquist distance in Angstrom: samples at most this far apart determine an image with this band limit (1/Angstrom).
-pub fn nyquist_step(band_limit: f64) -> f64 {
+pub(crate) fn nyquist_step(band_limit: f64) -> f64 {
     MOST_PRODUCT / band_limit
 }
 
 /// The samples from which values between the positions `low` and `high` are interpolated: the samples within [`HALF_WIDTH`] on either side,
 /// out of `all`, and at least [`TAPS`] if there are enough.
-pub fn samples_around([low, high]: [f64; 2], all: Range<usize>) -> Range<usize> {
+pub(crate) fn samples_around([low, high]: [f64; 2], all: Range<usize>) -> Range<usize> {
     let within = |at: f64| at.clamp(all.start as f64, (all.end as f64 - 1.0).max(all.start as f64));
     let first = (within(low).floor() as usize).saturating_sub(HALF_WIDTH).max(all.start);
     let end = (within(high).ceil() as usize + HALF_WIDTH + 1).min(all.end);
@@ -58,7 +58,7 @@ pub fn samples_around([low, high]: [f64; 2], all: Range<usize>) -> Range<usize> 
 
 /// The image beyond the first and last samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Edge {
+pub(crate) enum Edge {
     /// The image continues from its other side.
     Periodic,
     /// The image is unknown. Values less than [`MARGIN`] samples from the edge are less accurate; positions outside are moved to the edge.
@@ -76,7 +76,7 @@ pub enum Edge {
 /// | error, % | 0.006-0.011 | 0.02-0.04 | 0.05-0.08 | 0.06-0.12 | 0.10-0.19 | 0.13-0.25 |
 /// | error at edges, % | 0.02-0.03 | 0.05-0.08 | 0.10-0.15 | 0.12-0.20 | 0.18-0.29 | 0.23-0.40 |
 #[derive(Debug, Clone)]
-pub struct Kernel {
+pub(crate) struct Kernel {
     /// `tables[n][phase]`: the weights if n + 1 of the samples lie at or below the position, which is `phase / PHASES` of a
     /// sample above the last of them. They add to 1.
     tables: Arc<Tables>,
@@ -91,7 +91,7 @@ const MOST_KEPT: usize = 8;
 
 /// The samples from which a value is interpolated, and their weights, which add to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Weights {
+pub(crate) struct Weights {
     /// Number of the first sample; may be negative or beyond the last, unless the edge is open.
     pub first: i64,
     /// Weights of the samples beginning with the first.
@@ -104,7 +104,7 @@ impl Kernel {
     ///
     /// # Errors
     /// [`Error::Invalid`] for steps above the Nyquist distance `1 / (2 band_limit)`.
-    pub fn new(step: f64, band_limit: f64) -> Result<Self> {
+    pub(crate) fn new(step: f64, band_limit: f64) -> Result<Self> {
         Self::check(step, band_limit)?;
         let product = step * band_limit;
         let kept = || KEPT.lock().unwrap_or_else(PoisonError::into_inner);
@@ -147,7 +147,7 @@ impl Kernel {
     ///
     /// # Errors
     /// Errors of [`Kernel::new`].
-    pub fn check(step: f64, band_limit: f64) -> Result<()> {
+    pub(crate) fn check(step: f64, band_limit: f64) -> Result<()> {
         let product = step * band_limit;
         if product > 0.0 && product <= MOST_PRODUCT * (1.0 + 1e-9) {
             return Ok(());
@@ -160,20 +160,20 @@ impl Kernel {
     }
 
     /// The step that [`Kernel`] interpolates with an error below 0.1 % of the contrast.
-    pub fn default_step(band_limit: f64) -> f64 {
+    pub(crate) fn default_step(band_limit: f64) -> f64 {
         DEFAULT_PRODUCT / band_limit
     }
 
     /// Weights of the samples around `position`, equally many on either side.
     #[inline(always)]
-    pub fn weights(&self, position: f64) -> Weights {
+    pub(crate) fn weights(&self, position: f64) -> Weights {
         let below = position.floor();
         self.row(below as i64 - (HALF_WIDTH as i64 - 1), HALF_WIDTH - 1, position - below)
     }
 
     /// Weights of samples around `position`, all of them within the first `n` (at least [`TAPS`]) samples.
     #[inline(always)]
-    pub fn weights_within(&self, position: f64, n: usize) -> Weights {
+    pub(crate) fn weights_within(&self, position: f64, n: usize) -> Weights {
         let position = position.clamp(0.0, n as f64 - 1.0);
         let below = position.floor().min(n as f64 - 2.0);
         let first = (below as i64 - (HALF_WIDTH as i64 - 1)).clamp(0, n as i64 - TAPS as i64);
@@ -194,7 +194,7 @@ impl Kernel {
     /// Interpolates an image on another raster: an array of `shape` (rows = y, columns = x) in the unit of the image. Its values are at
     /// `first + i step`, both (row, column) in samples of `image`. The axes are resampled one after the other; `edges` are the edges along
     /// (rows, columns).
-    pub fn raster<T: Copy + Into<f64> + Sync>(
+    pub(crate) fn raster<T: Copy + Into<f64> + Sync>(
         &self,
         image: ArrayView2<'_, T>,
         first: [f64; 2],
@@ -286,14 +286,14 @@ impl Cholesky {
 
 /// Changes the number of samples of periodic images along an axis, by trigonometric interpolation. The first sample stays in place. The
 /// result is exact if old and new samples are closer than the Nyquist distance.
-pub struct PeriodicResampling {
+pub(crate) struct PeriodicResampling {
     /// Weights of the old samples (columns) in each new one.
     weights: Array2<f64>,
 }
 
 impl PeriodicResampling {
     /// Prepares resampling from `from` samples to `to` samples.
-    pub fn new(from: usize, to: usize) -> Self {
+    pub(crate) fn new(from: usize, to: usize) -> Self {
         // Dirichlet's kernel: 1 at 0, and 0 at all other samples.
         let dirichlet = |distance: f64| {
             let (a, all) = (PI * distance / from as f64, from as f64);
@@ -311,7 +311,7 @@ impl PeriodicResampling {
     }
 
     /// Resamples the image (rows = y, columns = x) along `axis`, along which it has the old number of samples.
-    pub fn of(&self, image: ArrayView2<'_, f32>, axis: Axis) -> Array2<f32> {
+    pub(crate) fn of(&self, image: ArrayView2<'_, f32>, axis: Axis) -> Array2<f32> {
         // The axis is made to run down the rows, so that whole rows are summed at once.
         let from = down(image, axis).as_standard_layout().mapv(f64::from);
         let mut to = Array2::<f32>::zeros((self.weights.nrows(), from.ncols()));

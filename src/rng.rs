@@ -68,7 +68,7 @@ const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];
 const WEYL: [u32; 2] = [0x9E37_79B9, 0xBB67_AE85];
 
 /// The Philox4x32-10 bijection of a 128-bit counter under a 64-bit key.
-pub fn philox4x32_10(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
+pub(crate) fn philox4x32_10(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
     for round in 0..10 {
         if round > 0 {
             key = [key[0].wrapping_add(WEYL[0]), key[1].wrapping_add(WEYL[1])];
@@ -100,7 +100,7 @@ pub fn uniform(seed: u64, purpose: Purpose, substream: u32, index: u64) -> f64 {
 }
 
 /// Three independent standard normal numbers.
-pub fn normal3(seed: u64, purpose: Purpose, substream: u32, index: u64) -> [f64; 3] {
+pub(crate) fn normal3(seed: u64, purpose: Purpose, substream: u32, index: u64) -> [f64; 3] {
     let w = words(seed, purpose, substream, index).map(open_unit);
     let (r1, r2) = (libm::sqrt(-2.0 * libm::log(w[0])), libm::sqrt(-2.0 * libm::log(w[2])));
     let (a1, a2) = (2.0 * std::f64::consts::PI * w[1], 2.0 * std::f64::consts::PI * w[3]);
@@ -114,7 +114,7 @@ fn open_unit(word: u32) -> f64 {
 /// A generator for the `rand` ecosystem, private to one item: its stream depends on
 /// (seed, purpose, index) only.
 #[derive(Debug, Clone)]
-pub struct ItemRng {
+pub(crate) struct ItemRng {
     key: [u32; 2],
     counter: [u32; 4],
     buffer: [u32; 4],
@@ -123,7 +123,7 @@ pub struct ItemRng {
 
 impl ItemRng {
     /// The generator of item `index`.
-    pub fn new(seed: u64, purpose: Purpose, index: u64) -> Self {
+    pub(crate) fn new(seed: u64, purpose: Purpose, index: u64) -> Self {
         let counter = [index as u32, (index >> 32) as u32, (purpose as u32) << 24, 0];
         let key = [seed as u32, (seed >> 32) as u32];
         ItemRng { key, counter, buffer: [0; 4], used: 4 }

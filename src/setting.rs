@@ -28,7 +28,7 @@ macro_rules! settings {
 
 /// A value of a table outside its limits.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Fault {
+pub(crate) struct Fault {
     /// Its key, with dots.
     pub key: String,
     /// The value.
@@ -40,7 +40,7 @@ pub struct Fault {
 impl Fault {
     /// The same, of a table that is part of another one.
     #[must_use]
-    pub fn in_table(self, table: &str) -> Self {
+    pub(crate) fn in_table(self, table: &str) -> Self {
         Fault { key: format!("{table}.{}", self.key), ..self }
     }
 }

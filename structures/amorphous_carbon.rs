@@ -3,8 +3,7 @@
 //!
 //!     cargo run --release --example amorphous_carbon structures/amorphous-carbon.bin
 
-use stemgen::models::carbon::block;
-use stemgen::models::carbon::melt::Melt;
+use stemgen::models::carbon::{Melt, block};
 
 /// Steps of molecular dynamics, 0.7 fs each.
 const STEPS: usize = 10_000;

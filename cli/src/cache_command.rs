@@ -5,7 +5,7 @@ use super::plan_text::Lines;
 use super::text;
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
-use stemgen::imaging::mosaic::library_cache::{Cache, Holding};
+use stemgen::imaging::{Cache, Holding};
 
 const EXAMPLES: &str = "\
 Examples:

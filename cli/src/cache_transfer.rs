@@ -14,7 +14,7 @@ use super::validate_command::DIFFERENT;
 use super::values::{self, Tier};
 use stemgen::files::Shard;
 use stemgen::files::outputs::check_outputs;
-use stemgen::imaging::mosaic::library_archive::{ArchiveSummary, export, import};
+use stemgen::imaging::library_archive::{ArchiveSummary, export, import};
 use stemgen::imaging::{Cache, CacheFault, RecomputedImage};
 use stemgen::progress::Progress;
 use stemgen::recipe::{Difficulty, Recipe, StructureKind};

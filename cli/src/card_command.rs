@@ -8,7 +8,7 @@ use clap::Args;
 use super::build_again::BuildAgain;
 use super::common::Common;
 use super::{hdf5_check, text};
-use stemgen::error::Error;
+use stemgen::Error;
 use stemgen::files::outputs::folder;
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;

@@ -1,7 +1,8 @@
 //! Options of the microscope and of the engine. Given options go into a request, which holds the defaults.
 
 use super::values::{
-    self, DetectorGroup, EngineName, NumberSeries, ParametrizationName, ProbeBoxName, ProjectionName,
+    self, DetectorGroup, EngineName, NumberSeries, ParametrizationName, ProbeBoxName,
+    ProjectionName,
 };
 use anyhow::bail;
 use clap::Args;

@@ -9,9 +9,8 @@ use serde::Serialize;
 use super::build_again::{BuildAgain, recipe_file};
 use super::plan_text::Lines;
 use super::{hdf5_check, output, text};
-use stemgen::files::atomic_write;
-use stemgen::files::file_digest::sha256_of_file;
 use stemgen::files::outputs::check_outputs;
+use stemgen::files::{atomic_write, sha256_of_file};
 use stemgen::imaging::Audit;
 use stemgen::io::{ImageKind, RecordedSource, StoredImages, WorldFile};
 use stemgen::world::WorldFacts;
@@ -262,9 +261,7 @@ fn image_lines(f: &WorldFacts, lines: &mut Lines) {
     if let (Some(energy), Some(angle)) = (f.energy_kev, f.convergence_mrad) {
         lines.add("probe", format!("{energy} keV, {angle} mrad"));
     }
-    let detector = |d: &stemgen::detect::Detector| {
-        format!("{} {}", d.name, d.angles())
-    };
+    let detector = |d: &stemgen::detect::Detector| format!("{} {}", d.name, d.angles());
     if !f.detectors.is_empty() {
         let all: Vec<String> = f.detectors.iter().map(detector).collect();
         lines.add("detectors", all.join(", "));

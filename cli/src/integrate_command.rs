@@ -12,10 +12,7 @@ use stemgen::detect::{
     VirtualDetector, centre_of_mass_mrad, integrated_centre_of_mass, weighted_sum,
 };
 use stemgen::files::outputs::check_outputs;
-use stemgen::io::image_file::{ImageStack, Origin, write_images};
-use stemgen::io::image_series::ImageSeries;
-use stemgen::io::pattern_file::PatternFile;
-use stemgen::io::tiff_file::write_tiff;
+use stemgen::io::{ImageSeries, ImageStack, Origin, PatternFile, write_images, write_tiff};
 use stemgen::progress::Progress;
 use stemgen::render::image_pictures;
 

@@ -12,13 +12,12 @@ use super::progress_bar::Reporter;
 use super::recipe_choice::{recipes, world_name};
 use super::text;
 use super::validate_command::DIFFERENT;
-use stemgen::files::atomic_write;
-use stemgen::files::whole_file;
+use stemgen::files::{atomic_write, read_text};
 use stemgen::io::WorldFile;
 use stemgen::numerics::{NUMERICS_VERSION, processor};
 use stemgen::progress::Progress;
 use stemgen::recipe::CheckedRecipe;
-use stemgen::validate::manifest::{Manifest, PinnedSameness, PinnedWorld};
+use stemgen::validate::{Manifest, PinnedSameness, PinnedWorld};
 use stemgen::world::{BuildOptions, WorldBuild, remove_leftovers};
 
 /// The released worlds, `worlds/manifest.toml`.
@@ -145,7 +144,7 @@ impl Regenerate {
         if self.pin && !path.exists() {
             return Ok(Manifest::empty());
         }
-        let text = whole_file::read_text(path, LARGEST_MANIFEST)?;
+        let text = read_text(path, LARGEST_MANIFEST)?;
         Ok(Manifest::from_toml(&path.display().to_string(), &text)?)
     }
 

@@ -10,9 +10,8 @@ use super::{hdf5_check, output};
 use anyhow::{Context, bail};
 use clap::Args;
 use std::path::{Path, PathBuf};
-use stemgen::files::file_digest::sha256_of_file;
-use stemgen::io::StoredImages;
-use stemgen::io::pattern_file::PatternFile;
+use stemgen::files::sha256_of_file;
+use stemgen::io::{PatternFile, StoredImages};
 use stemgen::simulation::{AtomsSource, SimulatedImage, SimulationJob, SimulationRequest};
 
 const EXAMPLES: &str = "\

@@ -10,11 +10,12 @@ use sha2::{Digest, Sha256};
 use super::plan_text::Lines;
 use super::progress_bar::Reporter;
 use super::text;
-use stemgen::engine::{Plan, Scan, ScanPart, Site, simulate_part};
+use stemgen::engine::{Plan, Scan, ScanPart, simulate_part};
 use stemgen::files::array_store::{ArrayStore, Stored};
 use stemgen::files::{OutputLock, Shard};
 use stemgen::numerics::NUMERICS_VERSION;
 use stemgen::progress::Progress;
+use stemgen::structure::Site;
 use stemgen::world::work_folder;
 
 const EXTENSION: &str = "part";

@@ -13,10 +13,10 @@ use std::path::PathBuf;
 use std::time::Instant;
 use stemgen::files::atomic_write;
 use stemgen::files::{OutputLock, OutputSet};
-use stemgen::io::hspy_file::{HspyFacts, write_hspy};
-use stemgen::io::image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images};
-use stemgen::io::image_series::ImageSeries;
-use stemgen::io::tiff_file::write_tiff;
+use stemgen::io::{
+    ExitWaves, HspyFacts, ImageCounts, ImageSeries, ImageStack, Origin, write_hspy, write_images,
+    write_tiff,
+};
 use stemgen::render::image_pictures::{self, GreyScale};
 use stemgen::simulation::SimulatedImage;
 use stemgen::world::work_folder;

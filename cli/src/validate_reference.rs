@@ -14,7 +14,7 @@ use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use stemgen::engine::{Cost, GridChoice, Plan, Scan, Settings, settings_for_accuracy};
 use stemgen::io::arrays::{self, ForeignArray};
-use stemgen::potential::slices::Slicing;
+use stemgen::potential::Slicing;
 use stemgen::progress::Progress as _;
 use stemgen::simulation::{
     AtomsSource, NumericsRequest, PlanReport, PreparedSpecimen, SpecimenRequest,

@@ -6,7 +6,7 @@ use super::validate_command::DIFFERENT;
 use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
-use stemgen::validate::soundness::{CheckOutcome, WorldCheck, check_world};
+use stemgen::validate::{CheckOutcome, WorldCheck, check_world};
 
 const EXAMPLES: &str = "\
 Examples:

@@ -2,7 +2,7 @@
 
 use anyhow::bail;
 use ndarray::{Array2, Axis};
-use stemgen::io::pattern_file::PatternFile;
+use stemgen::io::PatternFile;
 use stemgen::progress::Progress;
 use stemgen::render::html::{CubePage, Page};
 use stemgen::render::{Contrast, Picture, RgbImage, WorldPicture};

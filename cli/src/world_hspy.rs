@@ -4,12 +4,10 @@ use std::path::Path;
 
 use ndarray::{Array2, Axis};
 
+use stemgen::Result;
 use stemgen::detect::Detector;
 use stemgen::engine::check_memory;
-use stemgen::error::Result;
-use stemgen::io::WorldFile;
-use stemgen::io::hspy_file::{HspyFacts, create_hspy};
-use stemgen::io::image_file::ImageStack;
+use stemgen::io::{HspyFacts, ImageStack, WorldFile, create_hspy};
 use stemgen::recipe::CheckedRecipe;
 
 use super::text;

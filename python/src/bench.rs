@@ -228,7 +228,7 @@ struct Seen {
 impl Seen {
     fn of(slots: &[Slot], field: &FieldFacts, call: &LongCall) -> Result<Self, Fault> {
         let n = slots.len();
-        let overview_px = stemgen::benchmark::episode_settings::OVERVIEW_PX;
+        let overview_px = stemgen::benchmark::OVERVIEW_PX;
         let mut seen = Seen {
             tile: Array3::zeros((n, field.tile_px, field.tile_px)),
             overview: Array3::zeros((n, overview_px, overview_px)),

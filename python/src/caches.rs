@@ -8,8 +8,7 @@ use std::path::{Path, PathBuf};
 use stemgen::Setting;
 use stemgen::files::Shard;
 use stemgen::files::outputs::check_outputs;
-use stemgen::imaging::mosaic::library_archive;
-use stemgen::imaging::{Cache, SuppliedLibrary};
+use stemgen::imaging::{Cache, SuppliedLibrary, library_archive};
 use stemgen::world::{BuildOptions, WorldBuild};
 
 /// Writes the simulations of a material, or all, from the user's cache to a file. Returns the file's contents as JSON.

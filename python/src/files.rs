@@ -7,10 +7,7 @@ use pyo3::prelude::*;
 use std::path::PathBuf;
 use stemgen::Setting;
 use stemgen::files::outputs::check_outputs;
-use stemgen::io::hspy_file::{HspyFacts, write_hspy};
-use stemgen::io::image_file::ImageStack;
-use stemgen::io::image_series::ImageSeries;
-use stemgen::io::tiff_file::{TiffDepth, write_tiff};
+use stemgen::io::{HspyFacts, ImageSeries, ImageStack, TiffDepth, write_hspy, write_tiff};
 
 use crate::words::choice;
 

@@ -11,14 +11,13 @@ use pyo3::types::PyDict;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use stemgen::Setting;
 use stemgen::detect::{PatternDetector, PixelatedDetector, RadialBins, VirtualDetector};
 use stemgen::engine::Scan;
 use stemgen::files::outputs::check_outputs;
-use stemgen::io::pattern_file::{PatternFile, PatternHeader, data_bytes};
-use stemgen::io::pattern_run::PatternRun;
+use stemgen::io::{PatternFile, PatternHeader, PatternRun, data_bytes};
 use stemgen::live::{LiveRequest, LiveWorld};
 use stemgen::render::html::CubePage;
-use stemgen::setting::Setting;
 use stemgen::simulation::{PatternBand, PatternValues, PatternsRequest, SimulationJob};
 
 /// Patterns of one defocus and thickness: fractions of the beam, or counted electrons.

@@ -10,8 +10,7 @@ use pyo3::types::PyDict;
 use std::path::PathBuf;
 use stemgen::io::atom_type;
 use stemgen::recipe::Region;
-use stemgen::specimen::stripes::for_each_stripe;
-use stemgen::specimen::{Sites, SurfaceLayers, specimen};
+use stemgen::specimen::{Sites, SurfaceLayers, for_each_stripe, specimen};
 use stemgen::world::draw_specimen;
 use stemgen::{Error, Setting};
 

@@ -253,7 +253,10 @@ impl WorldReader {
     /// Returns the layers of a stack: phase, range in nm, strain along x, y and z, and turn about the beam in degrees.
     fn layers(&self, py: Python<'_>) -> PyResult<Vec<(String, [f32; 2], [f32; 3], f32)>> {
         let rows = self.with(py, |world| Ok(world.layers()?))?;
-        Ok(rows.into_iter().map(|row| (row.phase, row.range_nm, row.strain, row.turn_deg)).collect())
+        Ok(rows
+            .into_iter()
+            .map(|row| (row.phase, row.range_nm, row.strain, row.turn_deg))
+            .collect())
     }
 
     /// Returns the dislocations: place (x, y) of the line and Burgers vector (x, y, z) in nm.

@@ -129,7 +129,7 @@ impl Acquisition {
     ///
     /// # Errors
     /// The first value outside its limits.
-    pub fn check(&self) -> Result<(), Fault> {
+    pub(crate) fn check(&self) -> Result<(), Fault> {
         for (value, (key, limits)) in self.limited() {
             check_range(key, value, limits)?;
         }
@@ -146,7 +146,7 @@ impl Acquisition {
     }
 
     /// The largest count of the converter; `None` for a converter that does not round.
-    pub fn full_scale(&self) -> Option<f64> {
+    pub(crate) fn full_scale(&self) -> Option<f64> {
         (self.bits < 32).then(|| f64::from((1_u32 << self.bits) - 1))
     }
 }

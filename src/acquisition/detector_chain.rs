@@ -56,7 +56,7 @@ impl LateLight {
 
 /// The recorded value of one pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Counted {
+pub(crate) struct Counted {
     /// The number in the file.
     pub value: f64,
     /// Whether the converter clipped it.
@@ -79,7 +79,7 @@ impl DetectorChain {
     }
 
     /// Draws the electrons that hit the detector in a pixel with this fraction of the beam.
-    pub fn electrons(&self, fraction: f64, pixel: u64) -> f64 {
+    pub(crate) fn electrons(&self, fraction: f64, pixel: u64) -> f64 {
         match Poisson::new(fraction * self.electrons_per_pixel) {
             Ok(poisson) => poisson.sample(&mut ItemRng::new(self.seed, Purpose::Electrons, pixel)),
             // The mean is not positive, so there are no electrons.
@@ -88,7 +88,7 @@ impl DetectorChain {
     }
 
     /// Draws the light that electrons make, in units of the mean light of one electron.
-    pub fn light(&self, electrons: f64, pixel: u64) -> f64 {
+    pub(crate) fn light(&self, electrons: f64, pixel: u64) -> f64 {
         let Some(shape) = self.pulse_shape else { return electrons };
         match Gamma::new(electrons * shape, 1.0 / shape) {
             Ok(gamma) => gamma.sample(&mut ItemRng::new(self.seed, Purpose::PulseHeight, pixel)),
@@ -113,7 +113,7 @@ impl DetectorChain {
     }
 
     /// Converts light to the number in the file.
-    pub fn counted(&self, light: f64, pixel: u64) -> Counted {
+    pub(crate) fn counted(&self, light: f64, pixel: u64) -> Counted {
         let Acquisition { gain_counts, dark_counts, read_noise_counts, .. } = self.settings;
         let seen = self.saturation.map_or(light, |most| light / (1.0 + light / most));
         let noise = match read_noise_counts {

@@ -4,7 +4,7 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 
 /// Electrons that a current of 1 pA carries in 1 us.
-pub const ELECTRONS_PER_PA_US: f64 = 1e-18 / 1.602_176_634e-19;
+pub(crate) const ELECTRONS_PER_PA_US: f64 = 1e-18 / 1.602_176_634e-19;
 /// Currents of the beam in pA.
 const CURRENT_PA: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 /// Doses in electrons per square Angstrom.

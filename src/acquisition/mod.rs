@@ -9,8 +9,8 @@ mod scan_path;
 mod source_image;
 
 pub use acquisition_settings::{Acquisition, AcquisitionTable};
-pub use detector_chain::{Counted, DetectorChain};
-pub use exposure::{ELECTRONS_PER_PA_US, Exposure};
+pub use detector_chain::DetectorChain;
+pub use exposure::Exposure;
 pub use profiles::Profile;
 pub use recorder::{RecordedRows, Recorder, clipping_warning};
 pub use scan_path::{ScanFrame, ScanPath};

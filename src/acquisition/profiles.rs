@@ -104,9 +104,6 @@ const POOR: Acquisition = Acquisition {
 };
 
 impl Profile {
-    /// All profiles.
-    pub const ALL: [Profile; 3] = [Profile::Ideal, Profile::Routine, Profile::Poor];
-
     /// The name that recipes use.
     pub fn name(self) -> &'static str {
         match self {
@@ -132,7 +129,7 @@ mod tests {
 
     #[test]
     fn profiles_are_within_the_limits() {
-        for profile in Profile::ALL {
+        for profile in [Profile::Ideal, Profile::Routine, Profile::Poor] {
             assert_eq!(profile.acquisition().check(), Ok(()), "{}", profile.name());
         }
     }

@@ -57,11 +57,11 @@ impl Recorder {
     }
 
     /// The electrons on each pixel.
-    pub fn exposure(&self) -> &Exposure {
+    pub(crate) fn exposure(&self) -> &Exposure {
         &self.exposure
     }
 
-    /// Records some rows of a frame. `image` covers the beam's positions ([`ScanPath::reach_nm`]). `late` is the stored light of the rows
+    /// Records some rows of a frame. `image` covers the beam's positions (`ScanPath::reach_nm`). `late` is the stored light of the rows
     /// before, 0 for the first row. Rows of a frame are recorded in order; frames may be recorded in any order.
     pub fn rows(
         &self,

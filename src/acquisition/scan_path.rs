@@ -73,17 +73,17 @@ impl ScanPath {
     }
 
     /// The intended pixels.
-    pub fn frame(&self) -> &ScanFrame {
+    pub(crate) fn frame(&self) -> &ScanFrame {
         &self.frame
     }
 
     /// Number of frames.
-    pub fn frames(&self) -> usize {
+    pub(crate) fn frames(&self) -> usize {
         self.settings.frames
     }
 
     /// Time in s of each line of each frame, and drift (x, y) of the specimen in nm.
-    pub fn drift_curve(&self) -> Vec<[f64; 3]> {
+    pub(crate) fn drift_curve(&self) -> Vec<[f64; 3]> {
         let lines = (0..self.frames()).flat_map(|f| (0..self.frame.shape[0]).map(move |r| (f, r)));
         let line = |(frame, row): (usize, usize)| {
             let [x, y] = self.drift_nm(frame, row);
@@ -93,22 +93,22 @@ impl ScanPath {
     }
 
     /// Time from one line to the next in s.
-    pub fn line_s(&self) -> f64 {
+    pub(crate) fn line_s(&self) -> f64 {
         self.settings.line_s(self.frame.shape[1])
     }
 
     /// Time that all frames take in s.
-    pub fn duration_s(&self) -> f64 {
+    pub(crate) fn duration_s(&self) -> f64 {
         self.line_s() * self.walk_nm.len() as f64
     }
 
     /// Time from the start of the first line to the start of this line, in s.
-    pub fn line_start_s(&self, frame: usize, row: usize) -> f64 {
+    pub(crate) fn line_start_s(&self, frame: usize, row: usize) -> f64 {
         self.line_s() * (frame * self.frame.shape[0] + row) as f64
     }
 
     /// Drift (x, y) of the specimen in nm at the start of a line.
-    pub fn drift_nm(&self, frame: usize, row: usize) -> [f64; 2] {
+    pub(crate) fn drift_nm(&self, frame: usize, row: usize) -> [f64; 2] {
         let t = self.line_start_s(frame, row);
         let walk = self.walk_nm[frame * self.frame.shape[0] + row];
         [0, 1].map(|k| self.settings.drift_nm_per_s[k] * t + walk[k])
@@ -163,7 +163,7 @@ impl ScanPath {
     }
 
     /// The smallest and the largest x and y, in nm, of the beam while it records some rows of all frames.
-    pub fn reach_nm(&self, rows: std::ops::Range<usize>) -> [[f64; 2]; 2] {
+    pub(crate) fn reach_nm(&self, rows: std::ops::Range<usize>) -> [[f64; 2]; 2] {
         let Acquisition { hum_angstrom, overshoot_angstrom, .. } = self.settings;
         let mut reach = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
         let ends = [0.0, self.frame.shape[1] as f64 - 1.0];
@@ -189,7 +189,7 @@ impl ScanPath {
 
     /// The place where a column of atoms at (x, y) in nm appears in a frame: (x, y) in pixels from the centre of the first pixel. It is the
     /// centre of mass of a Gaussian of 0.4 A (at least one pixel) about the column. Columns beyond the edges have a place too.
-    pub fn appearance_px(&self, frame: usize, position_nm: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn appearance_px(&self, frame: usize, position_nm: [f64; 2]) -> [f64; 2] {
         let ScanFrame { shape, pixel_nm, origin_nm } = self.frame;
         let meant = [0, 1].map(|k| (position_nm[k] - origin_nm[k]) / pixel_nm);
         let mut at = meant;

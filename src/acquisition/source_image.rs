@@ -6,11 +6,11 @@ use ndarray::Array2;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::resample::{Kernel, MARGIN, TAPS};
+use crate::resample::{Kernel, TAPS};
 use crate::setting::Setting;
 
 /// Part of a noise-free image, with a value at any place of it. An image has no frequencies above twice the aperture's, so pixels closer
-/// than `wavelength / (4 semiangle)` determine it everywhere. Its only error is the error of [`Kernel`].
+/// than `wavelength / (4 semiangle)` determine it everywhere. Its only error is the error of the interpolation (see `resample.rs`).
 #[derive(Debug, Clone)]
 pub struct SourceImage {
     values: Array2<f32>,
@@ -24,7 +24,7 @@ impl SourceImage {
     /// centre of the first pixel is at `origin_nm` (x, y).
     ///
     /// # Errors
-    /// [`Error::Invalid`] for pixels too coarse to determine the image, or fewer than [`TAPS`] along an axis.
+    /// [`Error::Invalid`] for pixels too coarse to determine the image, or fewer than 16 along an axis.
     pub fn new(
         values: Array2<f32>,
         pixel_nm: f64,
@@ -41,7 +41,7 @@ impl SourceImage {
     }
 
     /// As [`SourceImage::new`], with a kernel for these pixels. There are at least [`TAPS`] of them along each axis.
-    pub fn with_kernel(
+    pub(crate) fn with_kernel(
         values: Array2<f32>,
         pixel_nm: f64,
         origin_nm: [f64; 2],
@@ -56,19 +56,8 @@ impl SourceImage {
         }
     }
 
-    /// The smallest and the largest x and y in nm at which values are accurate. Further out, values of the edge are returned.
-    pub fn inside_nm(&self) -> [[f64; 2]; 2] {
-        let (rows, columns) = self.values.dim();
-        let margin = MARGIN as f64 * self.pixel_nm;
-        let range = |k: usize, n: usize| {
-            let first = self.origin_nm[k];
-            [first + margin, first + (n as f64 - 1.0) * self.pixel_nm - margin]
-        };
-        [range(0, columns), range(1, rows)]
-    }
-
     /// The smallest and the largest x and y in nm of the pixels.
-    pub fn extent_nm(&self) -> [[f64; 2]; 2] {
+    pub(crate) fn extent_nm(&self) -> [[f64; 2]; 2] {
         let (rows, columns) = self.values.dim();
         let range = |k: usize, n: usize| {
             [self.origin_nm[k], self.origin_nm[k] + (n as f64 - 1.0) * self.pixel_nm]
@@ -78,7 +67,7 @@ impl SourceImage {
 
     /// Adds another image, which has no negative values, at the pixels of this one.
     #[must_use]
-    pub fn plus(&self, other: &SourceImage) -> Self {
+    pub(crate) fn plus(&self, other: &SourceImage) -> Self {
         let mut values = self.values.clone();
         let lines: Vec<_> = values.outer_iter_mut().enumerate().collect();
         lines.into_par_iter().for_each(|(row, mut line)| {

@@ -60,8 +60,8 @@ pub trait BenchmarkWorld: Send + Sync {
     /// Returns facts of the field.
     fn facts(&self) -> &FieldFacts;
 
-    /// Returns the noise-free image of a view in fractions of the beam, [row, column]. Between pixels it is exact up to the error of
-    /// [`Kernel`](crate::resample::Kernel).
+    /// Returns the noise-free image of a view in fractions of the beam, [row, column]. Between pixels it is
+    /// interpolated (see `resample.rs`).
     ///
     /// # Errors
     /// Errors of the engine or the file, and [`crate::Error::Interrupted`].

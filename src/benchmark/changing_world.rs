@@ -18,7 +18,7 @@ use crate::world::{Electrons, RecordedPart};
 
 /// A specimen that loses atoms to the electrons that image it, by the cross-sections in the table `[damage]` of its recipe. A view shows
 /// the specimen at the beginning of its acquisition; this is also the truth of the view. The overview was taken before the episode.
-/// Recordings stay [`MARGIN`] pixels away from the edge of the field.
+/// Recordings stay 3 pixels away from the edge of the field.
 pub struct ChangingWorld {
     facts: FieldFacts,
     still: Arc<RecipeWorld>,

@@ -6,9 +6,9 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 
 /// Number of points at which curves are sampled, from no dose to the whole budget.
-pub const CHECKPOINTS: usize = 50;
+pub(crate) const CHECKPOINTS: usize = 50;
 /// Score that [`DoseMetrics::time_to_threshold`] waits for.
-pub const THRESHOLD: f64 = 0.8;
+pub(crate) const THRESHOLD: f64 = 0.8;
 
 /// Scores of one episode: (share of the budget spent, score), by rising share.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -50,13 +50,13 @@ impl DoseCurve {
     }
 
     /// Returns all records.
-    pub fn records(&self) -> &[[f64; 2]] {
+    pub(crate) fn records(&self) -> &[[f64; 2]] {
         &self.records
     }
 
     /// Returns the score at a share of the budget: 0 before the first record (nothing was declared yet, so there is no ramp from the
     /// origin), linear between records, and the last score after the last record. Of several records at one share the last counts.
-    pub fn at(&self, share: f64) -> f64 {
+    pub(crate) fn at(&self, share: f64) -> f64 {
         let after = self.records.partition_point(|r| r[0] <= share);
         let Some(before) = after.checked_sub(1) else { return 0.0 };
         let [from, score] = self.records[before];
@@ -71,7 +71,7 @@ impl DoseCurve {
         (0..count).map(|k| self.at(share_at(k, count))).collect()
     }
 
-    /// Computes all metrics from [`CHECKPOINTS`] points.
+    /// Computes all metrics from 50 points.
     pub fn metrics(&self) -> DoseMetrics {
         self.metrics_of(CHECKPOINTS)
     }

@@ -24,7 +24,7 @@ const PIXEL_BITS: u32 = 28;
 
 /// Identifies an acquisition. Its random numbers depend on nothing else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct AcquisitionKey {
+pub(crate) struct AcquisitionKey {
     /// Seed of the episode.
     pub seed: u64,
     /// Number of the episode under this seed.
@@ -40,7 +40,7 @@ impl AcquisitionKey {
 
     /// Draws counts for an image [row, column] in fractions of the beam; each pixel receives `electrons_per_pixel` electrons. Returns the
     /// counts divided by that number, as fractions of the beam. Two pixels share the four random words of one item.
-    pub fn counted(&self, clean: &Array2<f32>, electrons_per_pixel: f64) -> Array2<f32> {
+    pub(crate) fn counted(&self, clean: &Array2<f32>, electrons_per_pixel: f64) -> Array2<f32> {
         let mut image = clean.as_standard_layout().into_owned();
         let Some(pixels) = image.as_slice_mut() else { return image };
         for (n, pair) in pixels.chunks_mut(2).enumerate() {

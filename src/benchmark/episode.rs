@@ -290,7 +290,7 @@ impl Episode {
     ///
     /// # Errors
     /// Errors of the world.
-    pub fn all_scores(&self) -> Result<Option<TaskScore>> {
+    pub(crate) fn all_scores(&self) -> Result<Option<TaskScore>> {
         match &self.findings {
             Some(findings) if !self.acquisitions.is_empty() => {
                 self.task.all_scores(findings, &self.seen, self.phases()?.as_deref()).map(Some)
@@ -320,18 +320,8 @@ impl Episode {
     }
 
     /// Returns facts of the field.
-    pub fn field(&self) -> &FieldFacts {
+    pub(crate) fn field(&self) -> &FieldFacts {
         self.world.facts()
-    }
-
-    /// Returns the rules.
-    pub fn settings(&self) -> &EpisodeSettings {
-        &self.settings
-    }
-
-    /// Returns the task, with the type of defect that it asks for.
-    pub fn task(&self) -> &Task {
-        &self.task
     }
 
     /// Returns the last tile in units of tiles, [row, column]; zeros before the first.
@@ -381,11 +371,6 @@ impl Episode {
         let least = EpisodeSettings::cost(ZOOM[0], MULTIPLIER[0]);
         let fits = self.spent + least <= self.settings.budget * (1.0 + ROUNDING);
         [going, going && fits, going, going]
-    }
-
-    /// Returns the reason for the end, if the episode has ended.
-    pub fn ended(&self) -> Option<Ending> {
-        self.ended
     }
 
     /// Returns the truth of everything seen.

@@ -7,17 +7,17 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 
 /// Dose of an acquisition without zoom and with the multiplier 1 in the budget, in electrons per square Angstrom.
-pub const REFERENCE_DOSE: f64 = 100.0;
+pub(crate) const REFERENCE_DOSE: f64 = 100.0;
 /// The paper's budget in electrons per square Angstrom.
-pub const BUDGET: f64 = 5000.0;
+pub(crate) const BUDGET: f64 = 5000.0;
 /// The paper's number of steps.
-pub const HORIZON: u32 = 200;
+pub(crate) const HORIZON: u32 = 200;
 /// The score is recorded after each group of this many acquisitions.
-pub const CADENCE: u32 = 5;
+pub(crate) const CADENCE: u32 = 5;
 /// Limits of the zoom.
-pub const ZOOM: [f64; 2] = [1.0, 8.0];
+pub(crate) const ZOOM: [f64; 2] = [1.0, 8.0];
 /// Limits of the dose multiplier.
-pub const MULTIPLIER: [f64; 2] = [0.1, 10.0];
+pub(crate) const MULTIPLIER: [f64; 2] = [0.1, 10.0];
 /// Edge of the part of the overview that is shown, in pixels of the overview.
 pub const OVERVIEW_PX: usize = 64;
 
@@ -124,12 +124,12 @@ impl EpisodeSettings {
     }
 
     /// Returns the cost of an acquisition, in electrons per square Angstrom.
-    pub fn cost(zoom: f64, multiplier: f64) -> f64 {
+    pub(crate) fn cost(zoom: f64, multiplier: f64) -> f64 {
         REFERENCE_DOSE * multiplier * zoom * zoom
     }
 
     /// Returns the dose of a pixel of a field without zoom, with the multiplier 1.
-    pub fn dose(&self, field: &FieldFacts) -> f64 {
+    pub(crate) fn dose(&self, field: &FieldFacts) -> f64 {
         match self.exposure {
             TileDose::Tier => field.dose,
             TileDose::Physical => REFERENCE_DOSE,
@@ -137,12 +137,12 @@ impl EpisodeSettings {
     }
 
     /// Returns the dose of a place that receives the whole budget, in electrons per square Angstrom.
-    pub fn most_dose(&self, field: &FieldFacts) -> f64 {
+    pub(crate) fn most_dose(&self, field: &FieldFacts) -> f64 {
         self.dose(field) * self.budget / REFERENCE_DOSE
     }
 
     /// Returns the electrons on a pixel of an acquisition. With a zoom the pixel is smaller and the dose greater by the same factor.
-    pub fn electrons_per_pixel(&self, field: &FieldFacts, multiplier: f64) -> f64 {
+    pub(crate) fn electrons_per_pixel(&self, field: &FieldFacts, multiplier: f64) -> f64 {
         self.dose(field) * multiplier * (10.0 * field.pixel_nm).powi(2)
     }
 }

@@ -13,7 +13,7 @@ use super::recipe_world::{RecipeSource, RecipeWorld};
 use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
 use crate::imaging::TurnedRaster;
-use crate::io::{WorldFile, schema::atom_type};
+use crate::io::{WorldFile, atom_type};
 use crate::made_once::MadeOnce;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe, Region};

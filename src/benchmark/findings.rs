@@ -20,7 +20,7 @@ pub struct PlacedDefect {
 }
 
 /// Returns the name of a type of defect; `None` for the atom that belongs there.
-pub fn type_name(kind: SiteKind) -> Option<&'static str> {
+pub(crate) fn type_name(kind: SiteKind) -> Option<&'static str> {
     match kind {
         SiteKind::Pristine => None,
         SiteKind::Vacancy => Some("vacancy"),
@@ -159,7 +159,7 @@ impl AgentFindings {
     ///
     /// # Errors
     /// [`Error::Invalid`] otherwise.
-    pub fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         let defects = self.defects.iter().flatten().flat_map(|d| d.position_nm);
         let particles =
             self.particles.iter().flat_map(|p| [p.position_nm[0], p.position_nm[1], p.diameter_nm]);
@@ -183,13 +183,15 @@ impl AgentFindings {
     }
 
     /// Returns the number of defects of each type.
-    pub fn defect_counts(&self) -> BTreeMap<String, u64> {
+    pub(crate) fn defect_counts(&self) -> BTreeMap<String, u64> {
         self.counts.clone().unwrap_or_else(|| counted(self.defects.iter().flatten()))
     }
 }
 
 /// Counts the defects of each type.
-pub fn counted<'a>(defects: impl Iterator<Item = &'a PlacedDefect>) -> BTreeMap<String, u64> {
+pub(crate) fn counted<'a>(
+    defects: impl Iterator<Item = &'a PlacedDefect>,
+) -> BTreeMap<String, u64> {
     let mut counts: BTreeMap<String, u64> = BTreeMap::new();
     for defect in defects {
         match counts.get_mut(&defect.kind) {

@@ -106,18 +106,18 @@ impl RecipeSource {
         Ok(source)
     }
 
-    /// Returns the recipe.
-    pub fn recipe(&self) -> &CheckedRecipe {
-        &self.recipe
-    }
-
     /// Returns facts of the field of all worlds.
     pub fn facts(&self) -> &FieldFacts {
         &self.facts
     }
 
+    /// Returns the recipe.
+    pub fn recipe(&self) -> &CheckedRecipe {
+        &self.recipe
+    }
+
     /// Returns the options by which images are made.
-    pub fn options(&self) -> &BuildOptions {
+    pub(crate) fn options(&self) -> &BuildOptions {
         &self.options
     }
 
@@ -245,11 +245,6 @@ pub struct RecipeWorld {
 }
 
 impl RecipeWorld {
-    /// Returns the recipe, with the seed.
-    pub fn recipe(&self) -> &CheckedRecipe {
-        &self.recipe
-    }
-
     /// Returns the specimen.
     pub fn specimen(&self) -> &Arc<dyn Specimen> {
         &self.specimen

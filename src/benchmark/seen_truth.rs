@@ -18,7 +18,7 @@ pub struct SeenTruth {
 
 impl SeenTruth {
     /// Adds a part.
-    pub fn add(&mut self, view: Region, truth: RegionTruth) {
+    pub(crate) fn add(&mut self, view: Region, truth: RegionTruth) {
         // In places that were seen before, the truth of this part replaces the earlier one.
         self.defects.retain(|d| !view.contains(d.position_nm));
         self.columns.retain(|c| !view.contains(c.position_nm));
@@ -34,28 +34,23 @@ impl SeenTruth {
         }
     }
 
-    /// Returns each part once.
-    pub fn views(&self) -> &[Region] {
-        &self.views
-    }
-
     /// Returns the vacant and substituted sites.
     pub fn defects(&self) -> &[PlacedDefect] {
         &self.defects
     }
 
     /// Returns the columns.
-    pub fn columns(&self) -> &[TrueColumn] {
+    pub(crate) fn columns(&self) -> &[TrueColumn] {
         &self.columns
     }
 
     /// Returns the particles that reach into any part.
-    pub fn particles(&self) -> &[FoundParticle] {
+    pub(crate) fn particles(&self) -> &[FoundParticle] {
         &self.particles
     }
 
     /// Returns the samples of phases in the parts, with no prediction elsewhere; `None` if the whole field has one phase.
-    pub fn phases(&self, samples: &PhaseSamples, pixel_nm: f64) -> Option<Array2<i32>> {
+    pub(crate) fn phases(&self, samples: &PhaseSamples, pixel_nm: f64) -> Option<Array2<i32>> {
         let first = *samples.phases.first()?;
         if samples.phases.iter().all(|phase| *phase == first) {
             return None;
@@ -70,7 +65,7 @@ impl SeenTruth {
     }
 
     /// Returns for each part whether the agent claims a particle in it, and whether it holds one.
-    pub fn occupied(&self, claimed: &[FoundParticle]) -> Vec<[bool; 2]> {
+    pub(crate) fn occupied(&self, claimed: &[FoundParticle]) -> Vec<[bool; 2]> {
         let holds = |view: &Region, list: &[FoundParticle]| {
             list.iter().any(|p| view.grown(0.5 * p.diameter_nm).contains(p.position_nm))
         };
@@ -97,7 +92,7 @@ mod tests {
         places.sort_by(f64::total_cmp);
         assert_eq!(places, [0.5, 1.5, 1.75, 2.5]);
         seen.add(view(1.0), defects(&[]));
-        assert_eq!((seen.views().len(), seen.defects().len()), (2, 1));
+        assert_eq!((seen.views.len(), seen.defects().len()), (2, 1));
     }
 
     #[test]

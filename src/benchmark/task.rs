@@ -15,7 +15,7 @@ use crate::setting::Setting;
 use crate::specimen::SiteKind;
 
 /// Largest distance in nm of the centres of a pair of particles in the strict form: a fifth of the diameter of common particles.
-pub const STRICT_PARTICLE_RADIUS_NM: f64 = 0.5;
+pub(crate) const STRICT_PARTICLE_RADIUS_NM: f64 = 0.5;
 
 /// The question of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -89,7 +89,7 @@ impl Task {
     ///
     /// # Errors
     /// Errors of [`phase_iou`].
-    pub fn score(
+    pub(crate) fn score(
         &self,
         findings: &AgentFindings,
         seen: &SeenTruth,
@@ -132,7 +132,7 @@ impl Task {
     ///
     /// # Errors
     /// As [`Task::score`].
-    pub fn all_scores(
+    pub(crate) fn all_scores(
         &self,
         findings: &AgentFindings,
         seen: &SeenTruth,

@@ -36,7 +36,7 @@ pub struct FieldFacts {
 
 impl FieldFacts {
     /// Returns the distance of neighbouring tiles in pixels.
-    pub fn stride_px(&self) -> usize {
+    pub(crate) fn stride_px(&self) -> usize {
         self.tile_px - self.overlap_px
     }
 
@@ -51,7 +51,7 @@ impl FieldFacts {
     }
 
     /// Returns the tile (row, column) whose middle is nearest to the middle of a view.
-    pub fn tile_of(&self, view: &TileView) -> [usize; 2] {
+    pub(crate) fn tile_of(&self, view: &TileView) -> [usize; 2] {
         [0, 1].map(|k| {
             let n = (view.first_px[k] + self.stride_px() / 2) / self.stride_px();
             n.min(self.grid[k] - 1)
@@ -73,7 +73,7 @@ impl FieldFacts {
     }
 
     /// Returns the middle (x, y) of a view in fractions of the field's width and height.
-    pub fn position_of(&self, view: &TileView) -> [f64; 2] {
+    pub(crate) fn position_of(&self, view: &TileView) -> [f64; 2] {
         let shape = self.shape_px();
         [1, 0].map(|k| (view.first_px[k] as f64 + 0.5 * self.tile_px as f64) / shape[k] as f64)
     }
@@ -98,17 +98,17 @@ pub struct TileView {
 
 impl TileView {
     /// Returns the pixels of the field without zoom.
-    pub fn pixels(&self) -> PixelRect {
+    pub(crate) fn pixels(&self) -> PixelRect {
         PixelRect::new(self.first_px, [self.tile_px; 2])
     }
 
     /// Returns the middle (x, y) of the view in nm from the centre of the field's first pixel.
-    pub fn centre_nm(&self, pixel_nm: f64) -> [f64; 2] {
+    pub(crate) fn centre_nm(&self, pixel_nm: f64) -> [f64; 2] {
         [1, 0].map(|k| (self.first_px[k] as f64 + 0.5 * (self.tile_px as f64 - 1.0)) * pixel_nm)
     }
 
     /// Returns the pixels of the view, with the field's pixel (0, 0) at `origin_nm` (x, y).
-    pub fn raster(&self, pixel_nm: f64, origin_nm: [f64; 2]) -> TurnedRaster {
+    pub(crate) fn raster(&self, pixel_nm: f64, origin_nm: [f64; 2]) -> TurnedRaster {
         let centre = self.centre_nm(pixel_nm);
         TurnedRaster {
             centre_nm: [0, 1].map(|k| centre[k] + origin_nm[k]),

@@ -19,6 +19,6 @@ const MASSES: [f64; MAX_ATOMIC_NUMBER as usize] = [
 ];
 
 /// Mass of an atom in atomic mass units. Numbers outside the table give the mass of the nearest element in it.
-pub fn atomic_mass(number: u8) -> f64 {
+pub(crate) fn atomic_mass(number: u8) -> f64 {
     MASSES[usize::from(number.clamp(1, MAX_ATOMIC_NUMBER)) - 1]
 }

@@ -8,7 +8,7 @@ use super::knock_on::vibrating_knock_on_angstrom2;
 use crate::setting::{Fault, check_range};
 
 /// A barn in square Angstrom.
-pub const BARN_ANGSTROM2: f64 = 1e-8;
+pub(crate) const BARN_ANGSTROM2: f64 = 1e-8;
 /// Threshold energies in eV.
 const THRESHOLD_EV: [f64; 2] = [1.0, 1000.0];
 /// Velocities of vibration in m/s.
@@ -35,7 +35,7 @@ pub struct DamageTable {
 impl DamageTable {
     /// Cross-section in square Angstrom for the loss of an atom of an element, by its symbol and atomic number: an atom is lost with the
     /// probability `1 - exp(-cross-section dose)`.
-    pub fn cross_section_angstrom2(&self, symbol: &str, number: u8, energy_kv: f64) -> f64 {
+    pub(crate) fn cross_section_angstrom2(&self, symbol: &str, number: u8, energy_kv: f64) -> f64 {
         let knock_on = self.threshold_ev.get(symbol);
         let vibration = self.vibration_m_per_s.get(symbol).copied().unwrap_or(0.0);
         let knock_on = knock_on.map_or(0.0, |ev| {
@@ -46,7 +46,7 @@ impl DamageTable {
     }
 
     /// The symbols of all elements that the table names.
-    pub fn elements(&self) -> impl Iterator<Item = (&'static str, &String)> {
+    pub(crate) fn elements(&self) -> impl Iterator<Item = (&'static str, &String)> {
         let of = |name| move |symbol| (name, symbol);
         let first = self.threshold_ev.keys().map(of("threshold_ev"));
         let second = first.chain(self.vibration_m_per_s.keys().map(of("vibration_m_per_s")));
@@ -57,7 +57,7 @@ impl DamageTable {
     ///
     /// # Errors
     /// The first value outside its limits.
-    pub fn check(&self) -> Result<(), Fault> {
+    pub(crate) fn check(&self) -> Result<(), Fault> {
         for (element, threshold) in &self.threshold_ev {
             check_range(format!("threshold_ev.{element}"), *threshold, THRESHOLD_EV)?;
         }

@@ -19,7 +19,7 @@ const MOST_DEVIATIONS: f64 = 8.0;
 const VELOCITY_STEPS: i32 = 2000;
 
 /// The largest energy in eV that an electron of `energy_ev` can transfer to a nucleus at rest: `2 E (E + 2 m c^2) / (M c^2)`.
-pub fn greatest_transfer_ev(number: u8, energy_ev: f64) -> f64 {
+pub(crate) fn greatest_transfer_ev(number: u8, energy_ev: f64) -> f64 {
     let rest = atomic_mass(number) * MASS_UNIT_EV;
     2.0 * energy_ev * (energy_ev + 2.0 * ELECTRON_REST_ENERGY_EV) / rest
 }
@@ -32,7 +32,7 @@ pub fn greatest_transfer_ev(number: u8, energy_ev: f64) -> f64 {
 /// `sigma = pi Z^2 r_e^2 (1 - beta^2) / beta^4 { t - 1 - beta^2 ln t + pi a beta [2 (sqrt(t) - 1) - ln t] }`
 ///
 /// The expansion holds for light elements; for gold it is too small by a factor of up to 2 (O. S. Oen, Phys. Rev. 1963).
-pub fn knock_on_angstrom2(number: u8, energy_ev: f64, threshold_ev: f64) -> f64 {
+pub(crate) fn knock_on_angstrom2(number: u8, energy_ev: f64, threshold_ev: f64) -> f64 {
     transferring_angstrom2(
         number,
         energy_ev,
@@ -46,7 +46,7 @@ pub fn knock_on_angstrom2(number: u8, energy_ev: f64, threshold_ev: f64) -> f64 
 /// An atom that already moves with the beam receives up to `(sqrt(T_max) + sqrt(M v^2 / 2))^2`, with an error below a ten-thousandth at the
 /// energies of microscopes. The rest of the formula is unchanged (J. C. Meyer et al., Phys. Rev. Lett. 108 (2012) 196102). So atoms leave
 /// below the threshold voltage too.
-pub fn vibrating_knock_on_angstrom2(
+pub(crate) fn vibrating_knock_on_angstrom2(
     number: u8,
     energy_ev: f64,
     threshold_ev: f64,

@@ -63,7 +63,7 @@ impl DetectorMtf {
     /// # Errors
     /// [`Error::Invalid`] for a width below 0 or above 50 pixels, and for a table that does not rise in frequency from (0, 1) on, or has
     /// values outside 0 to 2.
-    pub fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         let bad = |value: String, expected: &str| {
             Err(Error::invalid(Setting::DetectorMtf, value, expected))
         };
@@ -114,21 +114,21 @@ impl DetectorMtf {
 }
 
 /// Applies a transfer function to patterns of one size. Beyond the edges of the detector a pattern is mirrored, so that it keeps its sum.
-pub struct MtfFilter {
+pub(crate) struct MtfFilter {
     pixels: usize,
     fft: Fft2,
     transfer: Vec<f32>,
 }
 
 /// One thread's arrays.
-pub struct MtfWorkspace {
+pub(crate) struct MtfWorkspace {
     wave: Buffer,
     scratch: Scratch,
 }
 
 impl MtfFilter {
     /// Prepares the filter for patterns of `pixels` x `pixels`.
-    pub fn new(mtf: &DetectorMtf, pixels: usize) -> Self {
+    pub(crate) fn new(mtf: &DetectorMtf, pixels: usize) -> Self {
         let n = 2 * pixels;
         let f = |i: usize| frequency(i, n) as f64 / n as f64;
         let first = mtf.at(0.0) * (n * n) as f64;
@@ -137,12 +137,12 @@ impl MtfFilter {
     }
 
     /// Arrays for one thread.
-    pub fn workspace(&self) -> MtfWorkspace {
+    pub(crate) fn workspace(&self) -> MtfWorkspace {
         MtfWorkspace { wave: self.fft.buffer(), scratch: self.fft.scratch() }
     }
 
     /// Spreads the electrons of a pattern. Negative values, which a sharp transfer function can make, become 0; the sum is kept.
-    pub fn apply(&self, mut pattern: ArrayViewMut2<'_, f32>, w: &mut MtfWorkspace) {
+    pub(crate) fn apply(&self, mut pattern: ArrayViewMut2<'_, f32>, w: &mut MtfWorkspace) {
         let (n, stride) = (2 * self.pixels, self.fft.stride());
         let mirrored = |i: usize| if i < self.pixels { i } else { n - 1 - i };
         for y in 0..n {

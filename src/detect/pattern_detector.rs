@@ -31,7 +31,7 @@ impl PatternDetector {
     }
 
     /// Number of values of a recorded pattern.
-    pub fn values(&self) -> usize {
+    pub(crate) fn values(&self) -> usize {
         let [rows, columns] = self.shape();
         rows * columns
     }

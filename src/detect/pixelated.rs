@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 
 /// Most pixels along an edge.
-pub const MOST_PIXELS: usize = 4096;
+pub(crate) const MOST_PIXELS: usize = 4096;
 
 /// A square detector of square pixels. Pixel `pixels / 2` of each axis has its middle on the optical axis, so that it covers
 /// `-max_angle_mrad` less half a pixel to `max_angle_mrad` less half a pixel if the number is even.
@@ -24,7 +24,7 @@ impl PixelatedDetector {
     ///
     /// # Errors
     /// [`Error::Invalid`] for less than 2 or more than 4096 pixels, and for an angle that is not above 0.
-    pub fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         if !(2..=MOST_PIXELS).contains(&self.pixels) {
             let expected = format!("expected 2 to {MOST_PIXELS} pixels along an edge");
             return Err(Error::invalid(Setting::PatternPixels, self.pixels, expected));
@@ -47,12 +47,12 @@ impl PixelatedDetector {
     }
 
     /// Frequency (1/Angstrom) of the middle of pixel `i` along an axis.
-    pub fn k(&self, i: usize, wavelength_angstrom: f64) -> f64 {
+    pub(crate) fn k(&self, i: usize, wavelength_angstrom: f64) -> f64 {
         1e-3 * self.angle_mrad(i) / wavelength_angstrom
     }
 
     /// Angle (mrad) of the middle of pixel `i` along an axis.
-    pub fn angle_mrad(&self, i: usize) -> f64 {
+    pub(crate) fn angle_mrad(&self, i: usize) -> f64 {
         (i as f64 - (self.pixels / 2) as f64) * self.pixel_mrad()
     }
 }

@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 
 /// Most rings of a detector.
-pub const MOST_RINGS: usize = 4096;
+pub(crate) const MOST_RINGS: usize = 4096;
 /// An angle counts as the edge of a ring if it differs by at most this part of the ring's width.
 const ON_EDGE: f64 = 1e-6;
 
@@ -56,14 +56,14 @@ impl RadialBins {
     }
 
     /// The inner angle of ring `i` in mrad.
-    pub fn edge_mrad(&self, i: usize) -> f64 {
+    pub(crate) fn edge_mrad(&self, i: usize) -> f64 {
         i as f64 * self.width_mrad
     }
 
     /// Calls `put` with each ring that contains a part of a diffraction pattern's pixel at `theta_mrad`, and with the pixel's share on it.
     /// Edges are `ramp_mrad` wide, like the edges of [`Detector`](super::Detector)s; with 0 a pixel lies on one ring. The shares on the
     /// rings of an annulus add to the share on the annulus.
-    pub fn shares(&self, theta_mrad: f64, ramp_mrad: f64, mut put: impl FnMut(usize, f64)) {
+    pub(crate) fn shares(&self, theta_mrad: f64, ramp_mrad: f64, mut put: impl FnMut(usize, f64)) {
         let below = |theta: f64| (theta / self.width_mrad).max(0.0) as usize;
         if ramp_mrad <= 0.0 {
             let mut ring = below(theta_mrad);
@@ -96,7 +96,7 @@ impl RadialBins {
     ///
     /// # Errors
     /// [`Error::Invalid`] for an annulus whose edges are not edges of rings, and for one beyond the last ring.
-    pub fn weights(&self, name: &str, annulus_mrad: [f64; 2]) -> Result<Array2<f32>> {
+    pub(crate) fn weights(&self, name: &str, annulus_mrad: [f64; 2]) -> Result<Array2<f32>> {
         let [inner, outer] = annulus_mrad;
         let bad = |expected: String| {
             Err(Error::invalid(Setting::Detector, format!("{name}={inner}-{outer}"), expected))

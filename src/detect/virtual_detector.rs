@@ -61,7 +61,7 @@ impl VirtualDetector {
     }
 
     /// Whether the detector is a whole ring around the optical axis.
-    pub fn is_annulus(&self) -> bool {
+    pub(crate) fn is_annulus(&self) -> bool {
         self.sector_degrees.is_none() && self.centre_mrad == [0.0; 2]
     }
 

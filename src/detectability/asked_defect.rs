@@ -46,7 +46,7 @@ const EXPECTED: &str = "expected vacancy:O, substitution:Ti:Nb or column:O, with
 
 impl AskedDefect {
     /// The element of the atom that is missing or replaced (atomic number).
-    pub fn element(&self) -> u8 {
+    pub(crate) fn element(&self) -> u8 {
         match self.form {
             DefectForm::Vacancy(number)
             | DefectForm::Substitution(number, _)
@@ -54,13 +54,8 @@ impl AskedDefect {
         }
     }
 
-    /// Whether the depth is unknown, so that hypothesis 1 is a mixture of depths.
-    pub fn is_at_any_depth(&self) -> bool {
-        self.depth == DefectDepth::Any && !matches!(self.form, DefectForm::Column(_))
-    }
-
     /// The defect in words: `a missing O atom in the middle`.
-    pub fn words(&self) -> String {
+    pub(crate) fn words(&self) -> String {
         let symbol = elements::symbol;
         let what = match self.form {
             DefectForm::Vacancy(number) => format!("missing {} atom", symbol(number)),

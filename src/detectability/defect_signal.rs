@@ -9,7 +9,7 @@ use ndarray::{Array2, ArrayView2, Axis};
 /// with the difference d of each configuration, the mean m of the images, and the area A of a pixel. The error is the jackknife's over the
 /// configurations (B. Efron and C. Stein, Ann. Stat. 9 (1981) 586).
 #[derive(Debug, Clone, PartialEq)]
-pub struct DefectSignal {
+pub(crate) struct DefectSignal {
     /// Squared d' for one electron per square Angstrom, without bias; it can be negative by chance.
     pub information: f64,
     /// Standard error of `information`.
@@ -26,7 +26,7 @@ pub struct DefectSignal {
 impl DefectSignal {
     /// The information of the images without and with the defect, each (configuration, pixel) in fractions of the beam, with equal
     /// displacements in one configuration, and pixels of `area_angstrom2`.
-    pub fn new(images: [ArrayView2<'_, f64>; 2], area_angstrom2: f64) -> Self {
+    pub(crate) fn new(images: [ArrayView2<'_, f64>; 2], area_angstrom2: f64) -> Self {
         let mean = |image: ArrayView2<'_, f64>| {
             image.sum_axis(Axis(0)).mapv(|sum| sum / image.nrows() as f64).to_vec()
         };
@@ -46,16 +46,6 @@ impl DefectSignal {
         let scaled = scaled.collect();
         let without = without.iter().map(|a| area_angstrom2 * a).collect();
         DefectSignal { information, error, biased, contrast, means: [without, scaled] }
-    }
-
-    /// The factor by which the difference of the mean images is scaled in `means`.
-    pub fn scale(&self) -> f64 {
-        if self.biased > 0.0 { (self.information.max(0.0) / self.biased).sqrt() } else { 0.0 }
-    }
-
-    /// Whether the information is above 0 by more than two standard errors.
-    pub fn is_resolved(&self) -> bool {
-        self.information > 2.0 * self.error && self.information > 0.0
     }
 }
 
@@ -82,7 +72,7 @@ fn unbiased(differences: &Array2<f64>, middle: &[f64], area: f64) -> (f64, f64) 
 
 /// The annulus of whole rings with the most information: the first ring, the ring after the last, and the signal. The images of each ring
 /// are (configuration, pixel). Annuli are at least one ring wide; `None` without rings.
-pub fn best_annulus(
+pub(crate) fn best_annulus(
     rings: &[[Array2<f64>; 2]],
     area_angstrom2: f64,
 ) -> Option<(usize, usize, DefectSignal)> {
@@ -144,7 +134,6 @@ mod tests {
         let found = DefectSignal::new([image.view(), image.view()], 0.04);
         assert_eq!((found.information, found.error, found.contrast), (0.0, 0.0, 0.0));
         assert_eq!(found.means[0], found.means[1]);
-        assert!(!found.is_resolved());
     }
 
     #[test]

@@ -116,11 +116,6 @@ impl DetectabilityJob {
         &self.warnings
     }
 
-    /// The request.
-    pub fn request(&self) -> &DetectabilityRequest {
-        &self.request
-    }
-
     /// The work and its cost. Measures the speed of the machine for 0.2 s.
     ///
     /// # Errors

@@ -32,7 +32,7 @@ pub struct NeededDose {
 
 impl NeededDose {
     /// No dose suffices.
-    pub const NEVER: NeededDose =
+    pub(crate) const NEVER: NeededDose =
         NeededDose { verdict: DoseVerdict::Never, electrons_per_angstrom2: None, range: [None; 2] };
 
     /// The dose in words: `3.4e6 (3.1e6 to 3.8e6)`.
@@ -201,7 +201,11 @@ impl DetectabilityReport {
     }
 
     /// The sentence of a case and a detector: "A missing O atom in the middle of 10 nm of srtio3 (column O26) is found ...".
-    pub fn sentence(&self, case: &DetectabilityCase, found: &DetectorDetectability) -> String {
+    pub(crate) fn sentence(
+        &self,
+        case: &DetectabilityCase,
+        found: &DetectorDetectability,
+    ) -> String {
         let defect = case.defect.words();
         let article = if defect.starts_with(['A', 'E', 'I', 'O']) { "An" } else { "A" };
         let link = if defect.ends_with("middle") { "of" } else { "in" };

@@ -173,7 +173,7 @@ impl DetectabilityRequest {
     ///
     /// # Errors
     /// [`Error::Invalid`] with the setting and the limits.
-    pub fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         let refuse =
             |setting, value: String, expected: &str| Err(Error::invalid(setting, value, expected));
         let share = |setting, value: f64| match value > 0.0 && value < 1.0 {

@@ -12,7 +12,7 @@ use crate::rng::{ItemRng, Purpose};
 /// experiments are simulated and errors counted. Each experiment draws its electrons from its own random numbers, which do not depend on
 /// the dose.
 #[derive(Debug, Clone)]
-pub struct MixtureTest {
+pub(crate) struct MixtureTest {
     /// Images that the test knows, for each hypothesis: expected electrons of each pixel for one electron per square Angstrom.
     pub known: [Vec<Vec<f64>>; 2],
     /// Images that make the data, for each hypothesis.
@@ -38,7 +38,7 @@ impl KnownImage {
 
 impl MixtureTest {
     /// The test at a dose (electrons per square Angstrom), a share of false alarms, and a share `rate` of columns with the defect.
-    pub fn at(&self, dose: f64, alarms: f64, rate: f64) -> TestPower {
+    pub(crate) fn at(&self, dose: f64, alarms: f64, rate: f64) -> TestPower {
         let known = [0, 1]
             .map(|h| self.known[h].iter().map(|image| KnownImage::new(image)).collect::<Vec<_>>());
         let scores = [0, 1].map(|hypothesis| {
@@ -80,7 +80,12 @@ impl MixtureTest {
 
     /// The least dose at which the share `power` of the defects is found at a share of false alarms, with the doses between which it lies;
     /// searched from `from` in steps of a factor of 1.5 up to `to`. `None` if no dose of these suffices.
-    pub fn needed_dose(&self, [from, to]: [f64; 2], power: f64, alarms: f64) -> Option<[f64; 3]> {
+    pub(crate) fn needed_dose(
+        &self,
+        [from, to]: [f64; 2],
+        power: f64,
+        alarms: f64,
+    ) -> Option<[f64; 3]> {
         let mut before: Option<[f64; 2]> = None;
         let mut dose = from;
         while dose <= to {

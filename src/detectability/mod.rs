@@ -5,14 +5,14 @@
 //! Pearson, Phil. Trans. R. Soc. A 231 (1933) 289), so no analyst finds the defect at a lower dose.
 //!
 //! In an experiment every electron meets its own phonon configuration, so the mean image over many configurations is the expectation, and
-//! the scatter between configurations is no noise. The scatter of the *computed* mean is removed from the result: see [`DefectSignal`].
+//! the scatter between configurations is no noise. The scatter of the *computed* mean is removed from the result: see `DefectSignal`.
 //! Worlds average a stated number of configurations, and their scatter hides defects: [`DetectabilityRequest::averaged`].
 //!
 //! - [`DetectabilityRequest`]: the atoms, the defects, the microscope, with all defaults; [`AskedDefect`];
 //! - `defect_site`: the column, the atoms of the defect, the box;
 //! - `patch_images`: images of the patch in each phonon configuration;
-//! - [`DefectSignal`]: the information per dose, corrected for the finite number of configurations; the best annulus;
-//! - [`PoissonTest`] (known image), [`MixtureTest`] and `linear_observer`: three grades of the test;
+//! - `DefectSignal`: the information per dose, corrected for the finite number of configurations; the best annulus;
+//! - `PoissonTest` (known image), `MixtureTest` and `linear_observer`: three grades of the test;
 //! - [`DetectabilityJob`] and its [`DetectabilityReport`].
 
 mod asked_defect;
@@ -30,14 +30,11 @@ mod power_plot;
 mod roc;
 
 pub use asked_defect::{AskedDefect, DefectDepth, DefectForm};
-pub use defect_signal::{DefectSignal, best_annulus};
 pub use detectability_job::{DetectabilityJob, DetectabilityPlan};
 pub use detectability_report::{
     AnnulusFound, AtDose, DetectabilityCase, DetectabilityReport, DetectorDetectability,
     DoseVerdict, NeededDose,
 };
 pub use detectability_request::DetectabilityRequest;
-pub use mixture_test::MixtureTest;
-pub use poisson_test::PoissonTest;
 pub use power_plot::power_svg;
-pub use roc::{TestPower, normal_quantile};
+pub use roc::TestPower;

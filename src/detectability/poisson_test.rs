@@ -26,7 +26,7 @@ const BISECTIONS: usize = 60;
 /// more frequent than the false alarms, and the defect dims the patch, the test reports a share of these patches (exact if no pixel
 /// brightens). In other cases of this kind, and for average precisions below three counted electrons, the normal approximation is used.
 #[derive(Debug, Clone)]
-pub struct PoissonTest {
+pub(crate) struct PoissonTest {
     /// Expected electrons of each pixel per electron per square Angstrom, without the defect.
     mean: Vec<f64>,
     /// log(m1 / m0) of each pixel.
@@ -37,7 +37,7 @@ pub struct PoissonTest {
 
 impl PoissonTest {
     /// The test of two images: expected electrons of each pixel for a dose of one electron per square Angstrom, without and with the defect.
-    pub fn new(without: &[f64], with: &[f64]) -> Self {
+    pub(crate) fn new(without: &[f64], with: &[f64]) -> Self {
         let brightest = without.iter().chain(with).copied().fold(0.0, f64::max);
         let least = (DARKEST * brightest).max(f64::MIN_POSITIVE);
         let mean: Vec<f64> = without.iter().map(|m| m.max(least)).collect();
@@ -50,13 +50,8 @@ impl PoissonTest {
         PoissonTest { information: information.sum(), mean, log_ratio }
     }
 
-    /// The squared d' for one electron per square Angstrom: the sum of (m1 - m0)^2 / mean of m0 and m1 over the pixels.
-    pub fn information(&self) -> f64 {
-        self.information
-    }
-
     /// Whether the two images are equal but for rounding.
-    pub fn is_blind(&self) -> bool {
+    pub(crate) fn is_blind(&self) -> bool {
         self.information <= NO_INFORMATION * self.mean.iter().sum::<f64>()
     }
 
@@ -102,7 +97,7 @@ impl PoissonTest {
     }
 
     /// The share of the defects that are found at a dose (electrons per square Angstrom) and a share of false alarms.
-    pub fn power(&self, dose: f64, alarms: f64) -> f64 {
+    pub(crate) fn power(&self, dose: f64, alarms: f64) -> f64 {
         if self.is_blind() || dose <= 0.0 {
             return alarms;
         }
@@ -125,7 +120,7 @@ impl PoissonTest {
     }
 
     /// The area below the ROC curve at a dose.
-    pub fn auc(&self, dose: f64) -> f64 {
+    pub(crate) fn auc(&self, dose: f64) -> f64 {
         if self.is_blind() || dose <= 0.0 {
             return 0.5;
         }
@@ -135,7 +130,7 @@ impl PoissonTest {
     }
 
     /// The test at a dose, a share of false alarms, and a share `rate` of columns with the defect.
-    pub fn at(&self, dose: f64, alarms: f64, rate: f64) -> TestPower {
+    pub(crate) fn at(&self, dose: f64, alarms: f64, rate: f64) -> TestPower {
         if self.is_blind() || dose <= 0.0 {
             return TestPower::guess(alarms, rate);
         }
@@ -155,7 +150,7 @@ impl PoissonTest {
 
     /// The dose (electrons per square Angstrom) at which the share `power` of the defects is found at a share of false alarms; `None` if
     /// the images are equal.
-    pub fn needed_dose(&self, power: f64, alarms: f64) -> Option<f64> {
+    pub(crate) fn needed_dose(&self, power: f64, alarms: f64) -> Option<f64> {
         if self.is_blind() {
             return None;
         }
@@ -253,10 +248,10 @@ mod tests {
         let sum = |a: &[f64], b: &[f64]| -> f64 {
             a.iter().zip(b).map(|(a, b)| (a - b).powi(2) / (0.5 * (a + b))).sum()
         };
-        assert!((test.information() / sum(&images[0], &images[1]) - 1.0).abs() < 1e-6);
+        assert!((test.information / sum(&images[0], &images[1]) - 1.0).abs() < 1e-6);
         let dose = test.needed_dose(0.9, 0.01).unwrap();
         // d' = z(0.99) + z(0.9) = 2.3263 + 1.2816.
-        assert!((dose * test.information() / 3.607_899_4f64.powi(2) - 1.0).abs() < 1e-3);
+        assert!((dose * test.information / 3.607_899_4f64.powi(2) - 1.0).abs() < 1e-3);
         let at = test.at(dose, 0.01, 0.1);
         let normal = TestPower::normal(at.d_prime, 0.01, 0.1);
         for (one, other) in [

@@ -32,7 +32,7 @@ pub fn roc_alarms() -> impl Iterator<Item = f64> {
 }
 
 /// The quantile of the standard normal distribution, by bisection to 1e-12.
-pub fn normal_quantile(probability: f64) -> f64 {
+pub(crate) fn normal_quantile(probability: f64) -> f64 {
     let (mut low, mut high) = (-38.0, 38.0);
     while high - low > 1e-12 {
         let middle = 0.5 * (low + high);
@@ -65,13 +65,13 @@ pub fn thresholds(d_prime: f64) -> impl Iterator<Item = f64> {
 
 impl TestPower {
     /// A test that guesses.
-    pub fn guess(alarms: f64, rate: f64) -> Self {
+    pub(crate) fn guess(alarms: f64, rate: f64) -> Self {
         let roc = roc_alarms().map(|share| [share, share]).collect();
         TestPower { d_prime: 0.0, auc: 0.5, power: alarms, average_precision: rate, roc }
     }
 
     /// A test whose scores have two normal distributions of equal width, `d_prime` widths apart.
-    pub fn normal(d_prime: f64, alarms: f64, rate: f64) -> Self {
+    pub(crate) fn normal(d_prime: f64, alarms: f64, rate: f64) -> Self {
         if d_prime.is_nan() || d_prime <= 1e-6 {
             return Self::guess(alarms, rate);
         }
@@ -87,7 +87,7 @@ impl TestPower {
     }
 
     /// The test with these scores of columns without (0) and with (1) the defect.
-    pub fn of_scores(mut scores: [Vec<f64>; 2], alarms: f64, rate: f64) -> Self {
+    pub(crate) fn of_scores(mut scores: [Vec<f64>; 2], alarms: f64, rate: f64) -> Self {
         scores.iter_mut().for_each(|all| all.sort_by(|a, b| b.total_cmp(a)));
         let [without, with] = &scores;
         let share = |all: &[f64], least: f64| {

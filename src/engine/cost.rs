@@ -52,7 +52,7 @@ pub struct Cost {
 /// A plan, with its scan and the cost of both.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
-pub struct PlannedScan {
+pub(crate) struct PlannedScan {
     /// The plan.
     pub plan: Plan,
     /// The probes.
@@ -83,7 +83,7 @@ impl Cost {
     }
 
     /// Estimates the cost as [`Cost::new`] does, with the mean number of slices in which windows of this scan meet atoms.
-    pub fn with_atoms(plan: &Plan, scan: &Scan, sites: &[Site]) -> Self {
+    pub(crate) fn with_atoms(plan: &Plan, scan: &Scan, sites: &[Site]) -> Self {
         let cost = Cost::new(plan, scan);
         if !plan.has_windows() || scan.is_empty() {
             return cost;
@@ -101,12 +101,12 @@ impl Cost {
 
     /// The cost of another number of probes, with equally many waves for each probe.
     #[must_use]
-    pub fn for_probes(self, probes: usize) -> Self {
+    pub(crate) fn for_probes(self, probes: usize) -> Self {
         Cost { probes, ..self }
     }
 
     /// Waves propagated for each phonon configuration.
-    pub fn waves(&self) -> f64 {
+    pub(crate) fn waves(&self) -> f64 {
         match self.beams {
             0 => self.probes as f64 * self.waves_per_probe,
             beams => beams as f64,
@@ -114,14 +114,14 @@ impl Cost {
     }
 
     /// Nominal floating-point operations of all phonon configurations, `5 N log2 N` a transform.
-    pub fn nominal_flops(&self) -> f64 {
+    pub(crate) fn nominal_flops(&self) -> f64 {
         let propagation = self.waves() * self.steps_per_wave * self.step_flops;
         let reduction = self.probes as f64 * self.reduction_flops;
         f64::from(self.configurations) * (propagation + self.potential_flops + reduction)
     }
 
     /// Advice for too little memory on `threads` threads: what most of it is used for, and what needs less.
-    pub fn memory_remedy(&self, threads: usize) -> &'static str {
+    pub(crate) fn memory_remedy(&self, threads: usize) -> &'static str {
         let images = (self.probes * self.probe_bytes) as u64;
         let waves = self.thread_bytes * threads as u64;
         if images >= waves.max(self.shared_bytes) {
@@ -136,7 +136,7 @@ impl Cost {
     }
 
     /// Memory in bytes of the largest arrays on `threads` threads.
-    pub fn memory_bytes(&self, threads: usize) -> u64 {
+    pub(crate) fn memory_bytes(&self, threads: usize) -> u64 {
         let images = (self.probes * self.probe_bytes) as u64;
         self.shared_bytes + self.thread_bytes * threads as u64 + images
     }
@@ -144,7 +144,7 @@ impl Cost {
 
 impl PlannedScan {
     /// Estimates the cost of a scan; `sites` are the atoms, if they are known.
-    pub fn new(plan: Plan, scan: Scan, sites: Option<&[Site]>) -> Self {
+    pub(crate) fn new(plan: Plan, scan: Scan, sites: Option<&[Site]>) -> Self {
         let cost = match sites {
             Some(sites) => Cost::with_atoms(&plan, &scan, sites),
             None => Cost::new(&plan, &scan),

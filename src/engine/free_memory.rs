@@ -24,7 +24,7 @@ pub fn check_memory(needed_bytes: u64, remedy: &str) -> Result<()> {
 /// Bytes of memory that this process may still allocate, or `None` where the system does not report it. It is the least of three: the
 /// machine's free memory, the rest in the process's control groups (containers, batch systems), and the rest below its limit of addresses
 /// (`ulimit -v`).
-pub fn free_memory() -> Option<u64> {
+pub(crate) fn free_memory() -> Option<u64> {
     [machine(), of_groups(Path::new("/")), of_addresses()].into_iter().flatten().min()
 }
 

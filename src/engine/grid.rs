@@ -19,17 +19,17 @@ impl Grid {
     }
 
     /// Shape of the grid's arrays: (rows, columns).
-    pub fn shape(&self) -> (usize, usize) {
+    pub(crate) fn shape(&self) -> (usize, usize) {
         (self.points[1], self.points[0])
     }
 
     /// Spacing of the Fourier grid along x and y in 1/Angstrom.
-    pub fn dk(&self) -> [f64; 2] {
+    pub(crate) fn dk(&self) -> [f64; 2] {
         self.extent_angstrom.map(|l| 1.0 / l)
     }
 
     /// Spatial frequency (kx, ky) of bin (row iy, column ix) in 1/Angstrom.
-    pub fn k(&self, iy: usize, ix: usize) -> [f64; 2] {
+    pub(crate) fn k(&self, iy: usize, ix: usize) -> [f64; 2] {
         [
             frequency(ix, self.points[0]) as f64 / self.extent_angstrom[0],
             frequency(iy, self.points[1]) as f64 / self.extent_angstrom[1],
@@ -37,7 +37,7 @@ impl Grid {
     }
 
     /// Nyquist frequency of the coarser axis in 1/Angstrom.
-    pub fn nyquist(&self) -> f64 {
+    pub(crate) fn nyquist(&self) -> f64 {
         let [x, y] = self.sampling_angstrom();
         0.5 / x.max(y)
     }

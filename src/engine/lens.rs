@@ -11,7 +11,7 @@ use num_complex::Complex32;
 ///
 /// `exit` has rows = y and columns = x over `extent_angstrom` (x, y). The image has the same shape and is in the unit of
 /// `|exit|^2`: 1 is the intensity of the incident wave.
-pub fn lens_image(
+pub(crate) fn lens_image(
     exit: &Array2<Complex32>,
     extent_angstrom: [f64; 2],
     optics: &Optics,

@@ -1,12 +1,12 @@
 //! Simulation of detector images from atoms: plan, then execute.
 //!
 //! From the ground up:
-//! - inputs: [`Settings`], [`Site`], [`Scan`], [`phonons`];
+//! - inputs: [`Settings`], [`Site`], [`Scan`], `phonons`;
 //! - the plan: [`Grid`], `grid_choice`, [`Plan`], `probe_patches` (which probes share a window), [`Cost`];
 //! - potentials to transmission functions: `slice_coverage`, `phase_grating`, `transmission`;
 //! - waves: `stepper` (one slice after the other), `probe`, `basis` (probes expanded in fewer waves);
-//! - the algorithms: `multislice`, `prism` with `prism_reduce`, `probe_tail` and [`single_scattering`];
-//! - [`simulate()`], [`simulate_series`], [`simulate_part`] and [`ScanPart`] (shared by several processes), [`simulate_places`], [`lens_image`], [`SourceBlur`], [`measure_speed`], [`check_memory`];
+//! - the algorithms: `multislice`, `prism` with `prism_reduce`, `probe_tail` and `single_scattering`;
+//! - [`simulate()`], `simulate_series`, [`simulate_part`] and [`ScanPart`] (shared by several processes), `simulate_places`, `lens_image`, `SourceBlur`, [`measure_speed`], [`check_memory`];
 //! - `accuracy`: settings for a requested error, from a sample of probes; `direct_beam`: the beam's share that cropped probes lack.
 
 mod accuracy;
@@ -19,9 +19,9 @@ mod grid;
 mod grid_choice;
 mod lens;
 mod multislice;
-pub mod patterns;
+pub(crate) mod patterns;
 mod phase_grating;
-pub mod phonons;
+pub(crate) mod phonons;
 mod plan;
 mod prism;
 mod prism_reduce;
@@ -33,10 +33,10 @@ mod probe_tail;
 mod probe_width;
 mod scan_part;
 mod series;
-pub mod settings;
+pub(crate) mod settings;
 mod simulate;
 mod single_precision;
-pub mod single_scattering;
+pub(crate) mod single_scattering;
 mod slice_coverage;
 mod source_size;
 mod speed;
@@ -44,26 +44,34 @@ mod stepper;
 mod transmission;
 mod workspace_pool;
 
-pub use crate::structure::Site;
-pub use accuracy::{
-    AccuracyFound, ExactEngine, TriedWindow, WindowChoice, mean_heights, settings_for_accuracy,
-    window_for,
-};
-pub use cost::{Cost, PlannedScan};
+pub(crate) use crate::structure::Site;
+pub use accuracy::{AccuracyFound, TriedWindow, WindowChoice, settings_for_accuracy, window_for};
+pub(crate) use accuracy::{ExactEngine, mean_heights};
+pub use patterns::{PatternRows, PatternSettings, simulate_patterns};
+pub use phonons::displaced;
+pub use single_scattering::{ScatteringMap, SingleScattering};
+
+pub use cost::Cost;
+pub(crate) use cost::PlannedScan;
 pub use detector_images::Images;
 pub(crate) use direct_beam::direct_share;
-pub use free_memory::{check_memory, free_memory};
+pub use free_memory::check_memory;
 pub use grid::Grid;
-pub use lens::lens_image;
+pub(crate) use lens::lens_image;
 pub use plan::Plan;
-pub use probe_raster::{ProbeRaster, probe_margin_angstrom};
+pub use probe_raster::ProbeRaster;
+pub(crate) use probe_raster::probe_margin_angstrom;
 pub use probe_scan::Scan;
 pub use scan_part::ScanPart;
-pub use series::{simulate_part, simulate_places, simulate_series, simulate_series_from};
+pub use series::simulate_part;
+pub(crate) use series::{simulate_places, simulate_series};
 pub use settings::{
-    Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeBox, ProbeStep, Settings,
+    Algorithm, BeyondLimit, DEFAULT_BAND_FRACTION, EXACT_BAND_FRACTION, Expansion, GridChoice,
+    Phonons, ProbeBox, ProbeStep, Settings,
 };
 pub(crate) use simulate::elements;
-pub use simulate::{Simulation, diffraction, exit_wave, mean_diffraction, simulate};
-pub use source_size::{Source, SourceBlur};
+pub use simulate::{Simulation, exit_wave, simulate};
+pub(crate) use simulate::{diffraction, mean_diffraction};
+pub use source_size::Source;
+pub(crate) use source_size::SourceBlur;
 pub use speed::{Speed, measure_speed};

@@ -117,7 +117,7 @@ impl Plan {
     }
 
     /// A warning about a cell that is narrower than the probe inside the specimen. Plane waves have no such limit.
-    pub fn narrow_cell(&self) -> Option<String> {
+    pub(crate) fn narrow_cell(&self) -> Option<String> {
         let crops = matches!(self.settings.algorithm, Algorithm::Window { .. });
         let cell = self.transmission_grid.extent_angstrom;
         (!crops)
@@ -126,7 +126,7 @@ impl Plan {
     }
 
     /// A warning about slices that were left open and are coarser than the slices of the exact engine.
-    pub fn coarse_slices(&self) -> Option<String> {
+    pub(crate) fn coarse_slices(&self) -> Option<String> {
         let coarse = self.settings.slicing == Slicing::Auto
             && self.slicing == Slicing::Grouped(GROUP_ANGSTROM);
         coarse.then(|| {
@@ -138,7 +138,7 @@ impl Plan {
     }
 
     /// Whether waves are propagated in windows instead of the whole cell.
-    pub fn has_windows(&self) -> bool {
+    pub(crate) fn has_windows(&self) -> bool {
         self.wave_grid != self.transmission_grid
     }
 
@@ -179,13 +179,13 @@ impl Plan {
     }
 
     /// The anti-aliasing aperture, with its soft edge.
-    pub fn anti_aliasing(&self) -> BandLimit {
+    pub(crate) fn anti_aliasing(&self) -> BandLimit {
         let full = self.band_limit_mrad * 1e-3 / self.settings.optics.wavelength_angstrom();
         BandLimit { limit_k2: self.band_limit * self.band_limit, full_k2: full * full }
     }
 
     /// The angle in mrad beyond which no scattering is carried.
-    pub fn cutoff_mrad(&self) -> f64 {
+    pub(crate) fn cutoff_mrad(&self) -> f64 {
         self.band_limit * self.settings.optics.wavelength_angstrom() * 1e3
     }
 
@@ -201,7 +201,7 @@ impl Plan {
     }
 
     /// Width of the detectors' soft edges in mrad: one Fourier pixel in windows, whose pixels are coarse, and 0 on the full grid.
-    pub fn detector_ramp_mrad(&self) -> f64 {
+    pub(crate) fn detector_ramp_mrad(&self) -> f64 {
         if !self.has_windows() {
             return 0.0;
         }
@@ -217,7 +217,7 @@ impl Plan {
 
     /// Frequencies of the PRISM beams as indices (kx, ky) on the full Fourier grid, ordered by ky, then kx; empty
     /// with other algorithms.
-    pub fn prism_beams(&self) -> Vec<[i64; 2]> {
+    pub(crate) fn prism_beams(&self) -> Vec<[i64; 2]> {
         let Algorithm::Prism { interpolation } = self.settings.algorithm else { return Vec::new() };
         let optics = &self.settings.optics;
         let dk: [f64; 2] =

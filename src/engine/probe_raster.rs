@@ -143,6 +143,6 @@ fn step_angstrom(settings: &Settings) -> Option<f64> {
 }
 
 /// The largest distance in Angstrom from the scanned area to a probe outside it.
-pub fn probe_margin_angstrom(settings: &Settings) -> f64 {
+pub(crate) fn probe_margin_angstrom(settings: &Settings) -> f64 {
     MARGIN as f64 * step_angstrom(settings).unwrap_or(0.0)
 }

@@ -16,24 +16,12 @@ use crate::files::Shard;
 use crate::progress::{Progress, ProgressShare};
 use crate::structure::Site;
 
-/// Simulates the images of a scan by each plan, averaged over the frames (sites) of a trajectory. There is at least one frame.
-///
-/// # Errors
-/// Errors of [`simulate()`](super::simulate()).
-pub fn simulate_series(
-    plans: &[Plan],
-    frames: &[&[Site]],
-    scan: &Scan,
-    progress: &dyn Progress,
-) -> Result<Vec<Images>> {
-    series(plans, frames, scan.into(), &[], progress)
-}
-
-/// Computes the bytes of [`simulate_series`] from parts that other processes have made; probes that no part has are simulated.
+/// Simulates the images of a scan by each plan, averaged over the frames (sites) of a trajectory. There is at least one frame. Probes of
+/// `parts`, which other processes have made, are not simulated again; the images have the same bytes with and without them.
 ///
 /// # Errors
 /// Errors of [`simulate()`](super::simulate()); [`Error::Invalid`] for parts of another series.
-pub fn simulate_series_from(
+pub(crate) fn simulate_series(
     plans: &[Plan],
     frames: &[&[Site]],
     scan: &Scan,
@@ -95,7 +83,7 @@ pub fn simulate_part(
 /// # Errors
 /// Errors of [`simulate()`](super::simulate()); [`Error::Invalid`] for places that are not finite, and for plans for PRISM, which has no
 /// single probes.
-pub fn simulate_places(
+pub(crate) fn simulate_places(
     plans: &[Plan],
     frames: &[&[Site]],
     places_angstrom: &[[f64; 2]],
@@ -284,7 +272,7 @@ mod tests {
             let plans = plans(algorithm);
             assert!(plans.windows(2).all(|p| differ_in_the_lens(&p[0], &p[1])));
             let bars = Bars::default();
-            let series = simulate_series(&plans, &[&sites], &scan, &bars).unwrap();
+            let series = simulate_series(&plans, &[&sites], &scan, &[], &bars).unwrap();
             for (plan, images) in plans.iter().zip(&series) {
                 assert_eq!(
                     *images,
@@ -314,7 +302,7 @@ mod tests {
             let mut plans = plans(algorithm);
             let finer = Settings { band_fraction: 0.7, ..plans[0].settings.clone() };
             plans.insert(1, Plan::new(&finer, [11.0, 11.0, 4.0], &[1.0, 3.0, 3.1]).unwrap());
-            let whole = simulate_series(&plans, &frames, &scan, &Silent).unwrap();
+            let whole = simulate_series(&plans, &frames, &scan, &[], &Silent).unwrap();
             let of = (plans.as_slice(), frames.len(), &scan);
             let counts: &[usize] = if scan == dense { &[3, 7] } else { &[3] };
             for &count in counts {
@@ -334,7 +322,7 @@ mod tests {
                 };
                 let mut parts: Vec<ScanPart> = (0..count).rev().map(part).collect();
                 let from = |parts: &[ScanPart]| {
-                    simulate_series_from(&plans, &frames, &scan, parts, &Silent).unwrap()
+                    simulate_series(&plans, &frames, &scan, parts, &Silent).unwrap()
                 };
                 assert!(from(&parts) == whole, "{algorithm:?} in {count}");
                 parts.remove(0);
@@ -342,7 +330,7 @@ mod tests {
                 // A part of other atoms is noticed by its values.
                 let other =
                     [simulate_part(&plans, &[&second], &scan, Shard::WHOLE, &Silent).unwrap()];
-                assert!(simulate_series_from(&plans, &frames, &scan, &other, &Silent).is_err());
+                assert!(simulate_series(&plans, &frames, &scan, &other, &Silent).is_err());
             }
         }
         let prism = plans(Algorithm::Prism { interpolation: [1, 1] });
@@ -357,7 +345,7 @@ mod tests {
         let sites = sites();
         for algorithm in [Algorithm::Multislice, Algorithm::Window { width_angstrom: 7.8 }] {
             let plans = plans(algorithm);
-            let of_scan = simulate_series(&plans, &[&sites], &scan, &Silent).unwrap();
+            let of_scan = simulate_series(&plans, &[&sites], &scan, &[], &Silent).unwrap();
             let of_places = simulate_places(&plans, &[&sites], &places, &Silent).unwrap();
             for (scanned, single) in of_scan.iter().zip(&of_places) {
                 assert_eq!(single.data.shape(), &[1, 1, 1, 6]);
@@ -385,7 +373,7 @@ mod tests {
         let finer = Settings { band_fraction: 0.7, ..plans[0].settings.clone() };
         plans.insert(1, Plan::new(&finer, [11.0, 11.0, 4.0], &[1.0, 3.0, 3.1]).unwrap());
         assert!(!differ_in_the_lens(&plans[0], &plans[1]));
-        let series = simulate_series(&plans, &[&first, &second], &scan, &Silent).unwrap();
+        let series = simulate_series(&plans, &[&first, &second], &scan, &[], &Silent).unwrap();
         for (plan, images) in plans.iter().zip(&series) {
             let one = simulate(plan, &first, &scan, &Silent).unwrap().data;
             let two = simulate(plan, &second, &scan, &Silent).unwrap().data;

@@ -57,7 +57,7 @@ pub enum GridChoice {
 }
 
 /// Factor of the angle that automatic grids carry, over the outermost detector angle.
-pub const AUTO_ANGLE_MARGIN: f64 = 1.2;
+pub(crate) const AUTO_ANGLE_MARGIN: f64 = 1.2;
 
 /// Where the probe has norm 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -96,7 +96,7 @@ pub enum ProbeStep {
     /// At every scan position otherwise.
     Auto,
     /// At most so many Angstrom apart, where that takes fewer probes, with any algorithm; at most the
-    /// Nyquist distance. [`crate::resample::Kernel`] has the errors.
+    /// Nyquist distance. The errors are in `resample.rs`.
     Angstrom(f64),
 }
 
@@ -181,8 +181,8 @@ pub struct Settings {
     /// a hard edge. abTEM has 0.02. Detectors have to end below it.
     pub band_taper: f64,
     /// `None`: potentials are smoothed before `exp(i sigma V)`, and the cores of the atoms added in closed form
-    /// ([`crate::potential::cores`]). Where that does not apply (finite projection, heavy atoms on top of each
-    /// other in one slice), it is a number that makes the grid finer than [`POTENTIAL_SAMPLING_ANGSTROM`].
+    /// (`potential/cores.rs`). Where that does not apply (finite projection, heavy atoms on top of each
+    /// other in one slice), it is a number that makes the grid finer than 0.0125 A.
     ///
     /// A number: potentials are exponentiated on a grid finer by this factor along each axis, then the band is limited.
     /// With 1, as in abTEM, the exponential is aliased: the HAADF of heavy columns is 1-4 % too high at 0.02-0.04 A.
@@ -204,7 +204,7 @@ pub struct Settings {
 /// Largest interpolation factor: the grid has multiples of it as points.
 const MOST_INTERPOLATION: usize = 1024;
 /// Default sampling of the potentials in Angstrom.
-pub const POTENTIAL_SAMPLING_ANGSTROM: f64 = 0.0125;
+pub(crate) const POTENTIAL_SAMPLING_ANGSTROM: f64 = 0.0125;
 /// The exact anti-aliasing limit (Kirkland 2010, sec. 6.8).
 pub const EXACT_BAND_FRACTION: f64 = 2.0 / 3.0;
 /// Default anti-aliasing limit: grids are 1.44 times smaller, for an error below 0.1 %.
@@ -244,7 +244,7 @@ impl Settings {
     ///
     /// # Errors
     /// [`Error::Invalid`] naming the setting and its limits.
-    pub fn validate(&self) -> Result<()> {
+    pub(crate) fn validate(&self) -> Result<()> {
         self.optics.validate()?;
         if !(1.0..=3.0).contains(&self.angle_margin) {
             return Err(Error::invalid(
@@ -327,13 +327,13 @@ impl Settings {
     }
 
     /// Whether probes are made in a box larger than the cell.
-    pub fn large_probe_box(&self) -> bool {
+    pub(crate) fn large_probe_box(&self) -> bool {
         let windows = matches!(self.algorithm, Algorithm::Window { .. });
         self.probe_box.map_or(windows, |b| b == ProbeBox::Large)
     }
 
     /// Number of phonon configurations simulated.
-    pub fn configurations(&self) -> u32 {
+    pub(crate) fn configurations(&self) -> u32 {
         self.phonons.map_or(1, |p| p.configurations)
     }
 }

@@ -183,7 +183,7 @@ impl<'a> Simulation<'a> {
     ///
     /// # Errors
     /// Errors of [`simulate()`].
-    pub fn images(
+    pub(crate) fn images(
         &mut self,
         sites: &[Site],
         scan: &Scan,
@@ -197,7 +197,7 @@ impl<'a> Simulation<'a> {
     }
 
     /// Intensities of the probes with these indices (row-major in the scan) in one phonon configuration, as fractions of the beam: (index,
-    /// recorded thickness, detector), row-major. They are equal to the intensities of [`Simulation::images`] for a scan with a probe at
+    /// recorded thickness, detector), row-major. They are equal to the intensities of a simulation of a scan with a probe at
     /// every position, but only waves that these probes need are propagated.
     ///
     /// # Errors
@@ -237,7 +237,7 @@ impl<'a> Simulation<'a> {
 ///
 /// Errors of [`simulate()`]; [`Error::Invalid`] for plans for PRISM, which has no single probes.
 /// Errors of [`simulate()`]; [`Error::Invalid`] for plans for PRISM, which has no single probes.
-pub fn diffraction(
+pub(crate) fn diffraction(
     plan: &Plan,
     sites: &[Site],
     position_angstrom: [f64; 2],
@@ -250,7 +250,7 @@ pub fn diffraction(
 ///
 /// # Errors
 /// Errors of [`diffraction()`].
-pub fn mean_diffraction(
+pub(crate) fn mean_diffraction(
     plan: &Plan,
     sites: &[Site],
     position_angstrom: [f64; 2],

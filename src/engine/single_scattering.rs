@@ -235,7 +235,7 @@ impl ScatteringMap<'_> {
 ///
 /// # Errors
 /// [`crate::Error::UnknownElement`] for an element that the tables lack.
-pub fn cross_section_angstrom2(settings: &Settings, number: u8) -> Result<f64> {
+pub(crate) fn cross_section_angstrom2(settings: &Settings, number: u8) -> Result<f64> {
     Ok(Integrals::new(settings, &settings.detectors[0], number)?.over_detector(0.0))
 }
 

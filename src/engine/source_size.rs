@@ -43,7 +43,7 @@ pub struct Source {
 
 /// A scan whose images are blurred by the source.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SourceBlur {
+pub(crate) struct SourceBlur {
     source: Source,
     /// Standard deviation of the Gaussian in Angstrom.
     sigma: f64,
@@ -55,7 +55,7 @@ pub struct SourceBlur {
 
 impl Source {
     /// A Gaussian source.
-    pub fn gaussian(fwhm_angstrom: f64) -> Self {
+    pub(crate) fn gaussian(fwhm_angstrom: f64) -> Self {
         Source { fwhm_angstrom, lorentz_share: 0.0 }
     }
 
@@ -63,7 +63,7 @@ impl Source {
     ///
     /// # Errors
     /// [`Error::Invalid`] with the range.
-    pub fn validate(&self) -> Result<()> {
+    pub(crate) fn validate(&self) -> Result<()> {
         let fwhm = self.fwhm_angstrom;
         if !(fwhm > 0.0 && fwhm <= LARGEST_ANGSTROM) {
             let expected = format!("must be above 0 and at most {LARGEST_ANGSTROM}");
@@ -112,7 +112,7 @@ impl SourceBlur {
     ///
     /// # Errors
     /// Errors of [`Source::validate`].
-    pub fn new(source: Source, scan: &Scan, cell_angstrom: [f64; 2]) -> Result<Self> {
+    pub(crate) fn new(source: Source, scan: &Scan, cell_angstrom: [f64; 2]) -> Result<Self> {
         source.validate()?;
         let margin = [0, 1].map(|k| {
             let step = scan.step_angstrom[k];
@@ -130,22 +130,22 @@ impl SourceBlur {
     }
 
     /// The scan that has to be simulated.
-    pub fn scan(&self) -> &Scan {
+    pub(crate) fn scan(&self) -> &Scan {
         &self.wide
     }
 
     /// Pixels of margin along x and y on either side.
-    pub fn margin(&self) -> [usize; 2] {
+    pub(crate) fn margin(&self) -> [usize; 2] {
         self.margin
     }
 
     /// Blurs the image of the wide scan for a point source and cuts off the margin. The result is [row = y, column = x].
-    pub fn image(&self, image: ArrayView2<'_, f32>) -> Array2<f32> {
+    pub(crate) fn image(&self, image: ArrayView2<'_, f32>) -> Array2<f32> {
         self.blurred(image.mapv(f64::from)).mapv(|v| v as f32)
     }
 
     /// Blurs an image as [`SourceBlur::image`] does, in double precision.
-    pub fn blurred(&self, sharp: Array2<f64>) -> Array2<f64> {
+    pub(crate) fn blurred(&self, sharp: Array2<f64>) -> Array2<f64> {
         let tails = (self.source.lorentz_share > 0.0).then(|| self.tails(&sharp));
         let mut data = sharp;
         for (k, axis) in [(0, Axis(1)), (1, Axis(0))] {

@@ -6,7 +6,7 @@ use super::radix_plan::lanes;
 
 /// A round anti-aliasing aperture in frequency space: one inside, zero outside, with a soft edge between.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BandLimit {
+pub(crate) struct BandLimit {
     /// Squared radius from which on the weight is zero.
     pub limit_k2: f64,
     /// Squared radius up to which the weight is one. Between the two it falls as the smooth step
@@ -15,13 +15,8 @@ pub struct BandLimit {
 }
 
 impl BandLimit {
-    /// A hard edge: one below `limit`, zero from there on.
-    pub fn hard(limit: f64) -> Self {
-        BandLimit { limit_k2: limit * limit, full_k2: limit * limit }
-    }
-
     /// The weight at squared frequency `k2`.
-    pub fn weight(&self, k2: f64) -> f64 {
+    pub(crate) fn weight(&self, k2: f64) -> f64 {
         let u = ((self.limit_k2 - k2) * self.slope()).clamp(0.0, 1.0);
         u * u * (3.0 - 2.0 * u)
     }
@@ -35,7 +30,7 @@ impl BandLimit {
 /// A multiplier in frequency space, `row[ky] * column[kx] * weight(kx^2 + ky^2)`: separable except for the weight of
 /// the [`BandLimit`].
 #[derive(Debug, Clone)]
-pub struct BandLimitedMultiplier {
+pub(crate) struct BandLimitedMultiplier {
     pub(super) row: Vec<[f32; 2]>,
     /// Squared limit less ky^2.
     pub(super) row_room: Vec<f32>,
@@ -47,7 +42,7 @@ pub struct BandLimitedMultiplier {
 impl BandLimitedMultiplier {
     /// `row` and `column` are indexed by FFT frequency, and so are the squared frequencies `row_k2` and
     /// `column_k2`; `order` is the frequency index at each position of a transformed column.
-    pub fn new(
+    pub(crate) fn new(
         order: &[usize],
         row: &[Complex32],
         row_k2: &[f64],
@@ -73,7 +68,7 @@ impl BandLimitedMultiplier {
     }
 
     /// Multiplies column `x`, whose elements are in this multiplier's order.
-    pub fn apply(&self, x: usize, column: &mut [Complex32]) {
+    pub(crate) fn apply(&self, x: usize, column: &mut [Complex32]) {
         let [re, im] = self.column[x];
         for (y, v) in column.iter_mut().enumerate() {
             let [a, b] = self.row[y];

@@ -9,13 +9,13 @@ struct CacheLine([Complex32; 8]);
 
 /// A buffer of complex numbers that starts on a cache line.
 #[derive(Clone)]
-pub struct Buffer {
+pub(crate) struct Buffer {
     lines: Vec<CacheLine>,
 }
 
 impl Buffer {
     /// `len` zeros (rounded up to whole cache lines).
-    pub fn zeros(len: usize) -> Self {
+    pub(crate) fn zeros(len: usize) -> Self {
         Buffer { lines: vec![CacheLine([Complex32::ZERO; 8]); len.div_ceil(8)] }
     }
 }

@@ -9,19 +9,19 @@ use std::ops::{DerefMut, Range};
 
 impl Fft2 {
     /// Number of blocks of rows in [`Fft2::buffer`].
-    pub fn row_blocks(&self) -> usize {
+    pub(crate) fn row_blocks(&self) -> usize {
         self.ny.div_ceil(lanes())
     }
 
     /// Elements of one block as [`Fft2::arrange_block`] writes it.
-    pub fn arranged_len(&self) -> usize {
+    pub(crate) fn arranged_len(&self) -> usize {
         self.nx * lanes()
     }
 
     /// Reorders a block of [`lanes`] rows of real-space factors, `stride` elements apart, into `out`
     /// ([`Fft2::arranged_len`] elements) for [`Fft2::convolve_block`]. Rows must be readable one SIMD vector
     /// beyond the last column.
-    pub fn arrange_block(&self, rows: &[Complex32], stride: usize, out: &mut [Complex32]) {
+    pub(crate) fn arrange_block(&self, rows: &[Complex32], stride: usize, out: &mut [Complex32]) {
         match &self.rows {
             Some(plan) => plan.arrange(rows, stride, floats(out)),
             None => {
@@ -34,7 +34,7 @@ impl Fft2 {
 
     /// Inverse transform of a block of rows ([`Fft2::stride`] apart), multiplication by `by`, forward
     /// transform; unnormalised. Columns outside `live` count as zero, and hold garbage afterwards.
-    pub fn convolve_block(
+    pub(crate) fn convolve_block(
         &self,
         rows: &mut [Complex32],
         live: &[Range<usize>],
@@ -72,7 +72,7 @@ impl Fft2 {
     /// Prepares the multiplier `row[ky] column[kx] w(k^2)` for [`Fft2::convolve_columns`], w being the weight
     /// of the band limit. `row` and `row_k2` have ny elements in FFT order, `column` and `column_k2` nx;
     /// `row_k2` and `column_k2` are squared frequencies in the unit of the band limit.
-    pub fn multiplier(
+    pub(crate) fn multiplier(
         &self,
         row: &[Complex32],
         row_k2: &[f64],
@@ -93,7 +93,7 @@ impl Fft2 {
 
     /// Forward transform of the columns of every wave, multiplication, inverse transform; unnormalised. Columns outside `ranges` are not
     /// changed; ranges are rounded up to whole SIMD vectors.
-    pub fn convolve_columns<W: DerefMut<Target = [Complex32]>>(
+    pub(crate) fn convolve_columns<W: DerefMut<Target = [Complex32]>>(
         &self,
         waves: &mut [W],
         ranges: &[Range<usize>],

@@ -10,7 +10,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 /// One thread's work space for [`Fft2`], with arbitrary contents.
-pub struct Scratch {
+pub(crate) struct Scratch {
     pub(super) single: Vec<Complex32>,
     pub(super) block: Buffer,
 }
@@ -24,7 +24,7 @@ pub(super) enum ColumnKernel {
 }
 
 /// A plan for arrays of one shape, shared by all threads.
-pub struct Fft2 {
+pub(crate) struct Fft2 {
     pub(super) ny: usize,
     pub(super) nx: usize,
     pub(super) stride: usize,
@@ -37,12 +37,12 @@ pub struct Fft2 {
 
 impl Fft2 {
     /// Plans transforms of `ny` rows by `nx` columns.
-    pub fn new(ny: usize, nx: usize) -> Self {
+    pub(crate) fn new(ny: usize, nx: usize) -> Self {
         Self::with_kernel(ny, nx, true)
     }
 
     /// As [`Fft2::new`]; with `blocked = false`, `rustfft` transforms rows and columns one by one, as the reference for the SIMD blocks.
-    pub fn with_kernel(ny: usize, nx: usize, blocked: bool) -> Self {
+    pub(crate) fn with_kernel(ny: usize, nx: usize, blocked: bool) -> Self {
         assert!(ny > 0 && nx > 0, "empty transform");
         let mut planner = FftPlanner::new();
         let columns = match ColumnPlan::new(ny).filter(|_| blocked) {
@@ -65,27 +65,27 @@ impl Fft2 {
     }
 
     /// Shape of the arrays: (rows, columns) = (ny, nx), without padding.
-    pub fn shape(&self) -> (usize, usize) {
+    pub(crate) fn shape(&self) -> (usize, usize) {
         (self.ny, self.nx)
     }
 
     /// Elements from one row to the next.
-    pub fn stride(&self) -> usize {
+    pub(crate) fn stride(&self) -> usize {
         self.stride
     }
 
     /// A zeroed array of this plan: ny rows of [`Fft2::stride`] elements, and further rows that complete the last block.
-    pub fn buffer(&self) -> Buffer {
+    pub(crate) fn buffer(&self) -> Buffer {
         Buffer::zeros(self.buffer_len())
     }
 
     /// Elements of [`Fft2::buffer`].
-    pub fn buffer_len(&self) -> usize {
+    pub(crate) fn buffer_len(&self) -> usize {
         self.ny.next_multiple_of(lanes()) * self.stride
     }
 
     /// Work space for one thread.
-    pub fn scratch(&self) -> Scratch {
+    pub(crate) fn scratch(&self) -> Scratch {
         let row = self.row_forward.get_inplace_scratch_len();
         let row = row.max(self.row_inverse.get_inplace_scratch_len());
         let (single, columns) = match &self.columns {
@@ -101,19 +101,19 @@ impl Fft2 {
     }
 
     /// Floating-point operations of one transform by the usual count, `5 N log2 N`.
-    pub fn nominal_flops(&self) -> f64 {
+    pub(crate) fn nominal_flops(&self) -> f64 {
         let n = (self.nx * self.ny) as f64;
         5.0 * n * n.log2()
     }
 
     /// Transforms all rows in place.
-    pub fn all_rows(&self, data: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
+    pub(crate) fn all_rows(&self, data: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
         self.some_rows(data, self.ny, inverse, scratch);
     }
 
     /// Transforms the first `count` rows in place. If `data` has room for it, the rest of the last block of
     /// rows is transformed with them.
-    pub fn some_rows(
+    pub(crate) fn some_rows(
         &self,
         data: &mut [Complex32],
         count: usize,
@@ -141,12 +141,12 @@ impl Fft2 {
     }
 
     /// Transforms all columns in place.
-    pub fn all_columns(&self, data: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
+    pub(crate) fn all_columns(&self, data: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
         self.some_columns(data, 0..self.nx, inverse, scratch);
     }
 
     /// Transforms the given columns in place.
-    pub fn some_columns(
+    pub(crate) fn some_columns(
         &self,
         data: &mut [Complex32],
         range: Range<usize>,
@@ -169,12 +169,12 @@ impl Fft2 {
     }
 
     /// Forward transform in place.
-    pub fn forward(&self, data: &mut [Complex32], scratch: &mut Scratch) {
+    pub(crate) fn forward(&self, data: &mut [Complex32], scratch: &mut Scratch) {
         self.both(data, false, scratch);
     }
 
     /// Inverse transform in place, unnormalised.
-    pub fn inverse(&self, data: &mut [Complex32], scratch: &mut Scratch) {
+    pub(crate) fn inverse(&self, data: &mut [Complex32], scratch: &mut Scratch) {
         self.both(data, true, scratch);
     }
 
@@ -184,7 +184,7 @@ impl Fft2 {
     }
 
     /// Column ranges that cover the frequencies `-m..=m`, in whole SIMD vectors and disjoint.
-    pub fn band_columns(&self, m: usize) -> Vec<Range<usize>> {
+    pub(crate) fn band_columns(&self, m: usize) -> Vec<Range<usize>> {
         let low = (m + 1).next_multiple_of(lanes());
         let high = m.next_multiple_of(lanes());
         if low + high >= self.nx {
@@ -311,7 +311,7 @@ mod tests {
     #[should_panic(expected = "the multiplier is for another shape")]
     fn multipliers_of_another_shape_are_refused() {
         let (fft, narrow) = (Fft2::new(16, 400), Fft2::new(16, 16));
-        let disk = BandLimit::hard(1.0);
+        let disk = BandLimit { limit_k2: 1.0, full_k2: 1.0 };
         let ones = [Complex32::ONE; 16];
         let other = narrow.multiplier(&ones, &[0.0; 16], &ones, &[0.0; 16], disk);
         let mut data = fft.buffer();

@@ -91,7 +91,7 @@ impl RadixPlan {
 
 /// Number of SIMD lanes (`f32`) of this processor. Columns are transformed in blocks of this many, so rows must be
 /// padded for the last block to fit.
-pub fn lanes() -> usize {
+pub(crate) fn lanes() -> usize {
     struct Count;
     impl WithSimd for Count {
         type Output = usize;

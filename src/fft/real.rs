@@ -10,7 +10,7 @@ impl Fft2 {
     /// On entry the first `nx / 2 + 1` columns of `data` (a [`Fft2::buffer`]) hold the half plane kx >= 0 of
     /// the spectrum; the other columns may hold anything. On return the real array lies in pairs of rows: the
     /// real parts of row `r` are its row `2 r`, the imaginary parts its row `2 r + 1` ([`Fft2::of_pair`]).
-    pub fn inverse_real(&self, data: &mut [Complex32], scratch: &mut Scratch) {
+    pub(crate) fn inverse_real(&self, data: &mut [Complex32], scratch: &mut Scratch) {
         let ((ny, nx), stride) = (self.shape(), self.stride());
         let half = nx / 2 + 1;
         self.some_columns(data, 0..half, true, scratch);
@@ -42,7 +42,7 @@ impl Fft2 {
     }
 
     /// The value at row `y`, column `x` of the real array that [`Fft2::inverse_real`] left in `data`.
-    pub fn of_pair(&self, data: &[Complex32], y: usize, x: usize) -> f32 {
+    pub(crate) fn of_pair(&self, data: &[Complex32], y: usize, x: usize) -> f32 {
         let pair = data[y / 2 * self.stride() + x];
         if y.is_multiple_of(2) { pair.re } else { pair.im }
     }

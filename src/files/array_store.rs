@@ -50,7 +50,7 @@ impl ArrayStore {
     }
 
     /// Returns the path of an array's file.
-    pub fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.folder.join(format!("{name}.{}", self.extension))
     }
 
@@ -87,7 +87,7 @@ impl ArrayStore {
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn add(&self, key: &str, file: &[u8]) -> Result<bool> {
+    pub(crate) fn add(&self, key: &str, file: &[u8]) -> Result<bool> {
         let path = self.path(key);
         let whole = |path: &Path| fs::read(path).is_ok_and(|there| checked(&there, key).is_ok());
         if path.is_file() && whole(&path) {
@@ -123,7 +123,7 @@ impl ArrayStore {
     }
 
     /// Returns the notes of all readable arrays in the folder.
-    pub fn notes(&self) -> Vec<String> {
+    pub(crate) fn notes(&self) -> Vec<String> {
         let files = self.files().unwrap_or_default().arrays;
         files.iter().filter_map(|path| note(path)).collect()
     }
@@ -198,7 +198,7 @@ pub fn checked(bytes: &[u8], key: &str) -> std::result::Result<String, &'static 
 ///
 /// # Errors
 /// The reason for which the file cannot be used.
-pub fn array_of(bytes: &[u8], key: &str) -> std::result::Result<Array2<f32>, &'static str> {
+pub(crate) fn array_of(bytes: &[u8], key: &str) -> std::result::Result<Array2<f32>, &'static str> {
     decoded(bytes, key, shape_of(bytes).ok_or("is cut off")?)
 }
 
@@ -206,7 +206,7 @@ pub fn array_of(bytes: &[u8], key: &str) -> std::result::Result<Array2<f32>, &'s
 ///
 /// # Errors
 /// The reason for which the file cannot be used.
-pub fn note_of(bytes: &[u8]) -> std::result::Result<String, &'static str> {
+pub(crate) fn note_of(bytes: &[u8]) -> std::result::Result<String, &'static str> {
     shape_of(bytes).ok_or("is cut off")?;
     let note = HEAD + number(bytes, 2)..HEAD + number(bytes, 2) + number(bytes, 3);
     let note = bytes.get(note).ok_or("is cut off")?;
@@ -227,7 +227,7 @@ fn number(bytes: &[u8], n: usize) -> usize {
 ///
 /// # Errors
 /// The reason for which the file cannot be used.
-pub fn decoded(
+pub(crate) fn decoded(
     bytes: &[u8],
     key: &str,
     shape: [usize; 2],

@@ -27,7 +27,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::Io`], and errors of `write`.
-pub fn write_with(
+pub(crate) fn write_with(
     path: &Path,
     overwrite: bool,
     write: impl FnOnce(&Path) -> Result<()>,
@@ -44,7 +44,7 @@ pub fn write_with(
 ///
 /// # Errors
 /// [`Error::Io`].
-pub fn sync_folder(path: &Path) -> Result<()> {
+pub(crate) fn sync_folder(path: &Path) -> Result<()> {
     #[cfg(unix)]
     {
         let folder = super::outputs::folder(path);
@@ -70,7 +70,7 @@ fn beside(path: &Path) -> Result<(tempfile::NamedTempFile, Unfinished)> {
 }
 
 /// Whether a path names an unfinished file that a killed writer has left.
-pub fn is_leftover(path: &Path) -> bool {
+pub(crate) fn is_leftover(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     name.starts_with(PREFIX) && name.ends_with(SUFFIX)
 }

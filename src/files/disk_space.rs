@@ -22,7 +22,7 @@ pub fn free_bytes(folder: &Path) -> Option<u64> {
 ///
 /// # Errors
 /// [`Error::DiskSpace`] with the folder and the needed and free bytes.
-pub fn check_space(output: &Path, needed_bytes: u64) -> Result<()> {
+pub(crate) fn check_space(output: &Path, needed_bytes: u64) -> Result<()> {
     let path = folder(output);
     match free_bytes(path) {
         Some(free_bytes) if free_bytes < needed_bytes => {
@@ -37,7 +37,7 @@ pub fn check_space(output: &Path, needed_bytes: u64) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::DiskSpace`] as [`check_space`].
-pub fn check_places(needed: &[(&Path, u64)]) -> Result<()> {
+pub(crate) fn check_places(needed: &[(&Path, u64)]) -> Result<()> {
     let mut disks: Vec<(Disk, &Path, u64)> = Vec::new();
     for (path, bytes) in needed {
         let there = existing(path);
@@ -59,7 +59,7 @@ pub fn check_places(needed: &[(&Path, u64)]) -> Result<()> {
 }
 
 /// Returns the number of bytes that may still be written below a folder that may not exist yet; `None` if the system does not report it.
-pub fn free_bytes_below(folder: &Path) -> Option<u64> {
+pub(crate) fn free_bytes_below(folder: &Path) -> Option<u64> {
     free_bytes(existing(folder))
 }
 

@@ -32,7 +32,7 @@ pub fn sha256_of_file(path: &Path) -> Result<(String, u64)> {
 }
 
 /// Returns the SHA-256 of some bytes as hexadecimal text.
-pub fn sha256_of_bytes(bytes: &[u8]) -> String {
+pub(crate) fn sha256_of_bytes(bytes: &[u8]) -> String {
     hexadecimal(&Sha256::digest(bytes))
 }
 

@@ -3,15 +3,18 @@
 
 pub mod array_store;
 pub mod atomic_write;
-pub mod disk_space;
-pub mod file_digest;
+pub(crate) mod disk_space;
+pub(crate) mod file_digest;
 mod output_lock;
 mod output_set;
 pub mod outputs;
 mod shard;
 pub mod unfinished;
-pub mod whole_file;
+pub(crate) mod whole_file;
 
+pub use disk_space::free_bytes;
+pub use file_digest::sha256_of_file;
 pub use output_lock::OutputLock;
 pub use output_set::OutputSet;
 pub use shard::Shard;
+pub use whole_file::read_text;

@@ -72,14 +72,14 @@ pub fn check_outputs<P: AsRef<Path>, Q: AsRef<Path>>(
 }
 
 /// Ending of an output's file while it is incomplete.
-pub const PARTIAL: &str = ".partial";
+pub(crate) const PARTIAL: &str = ".partial";
 /// Ending of the file that names the process that writes an output.
-pub const LOCK: &str = ".lock";
+pub(crate) const LOCK: &str = ".lock";
 /// Ending of the folder in which a build keeps its work until its output is complete.
-pub const WORK: &str = ".work";
+pub(crate) const WORK: &str = ".work";
 
 /// Ending of the note that names the command whose outputs are being put in place.
-pub const UNFINISHED: &str = ".unfinished";
+pub(crate) const UNFINISHED: &str = ".unfinished";
 /// Ending of a folder that was moved aside for a file of this program.
 const ASIDE: &str = ".aside";
 
@@ -87,7 +87,7 @@ const ASIDE: &str = ".aside";
 ///
 /// # Errors
 /// [`Error::Io`].
-pub fn set_aside(path: &Path) -> Result<()> {
+pub(crate) fn set_aside(path: &Path) -> Result<()> {
     if !fs::symlink_metadata(path).is_ok_and(|there| there.is_dir()) || fs::remove_dir(path).is_ok()
     {
         return Ok(());
@@ -97,7 +97,7 @@ pub fn set_aside(path: &Path) -> Result<()> {
 }
 
 /// Returns `path` with an ending after its name.
-pub fn beside(path: &Path, ending: &str) -> PathBuf {
+pub(crate) fn beside(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(ending);
     PathBuf::from(name)

@@ -65,7 +65,7 @@ impl Shard {
     }
 
     /// Whether the process does the item with this number.
-    pub fn does(self, thing: usize) -> bool {
+    pub(crate) fn does(self, thing: usize) -> bool {
         thing % self.count == self.index
     }
 }

@@ -14,14 +14,14 @@ fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
 
 /// A file that is being written; [`remove_all`] removes it until this value is dropped.
 #[derive(Debug)]
-pub struct Unfinished(PathBuf);
+pub(crate) struct Unfinished(PathBuf);
 
 impl Unfinished {
     /// Lets `make` make a file, and registers its path.
     ///
     /// # Errors
     /// Errors of `make`.
-    pub fn of<T, E>(
+    pub(crate) fn of<T, E>(
         make: impl FnOnce() -> Result<T, E>,
         path: impl FnOnce(&T) -> &Path,
     ) -> Result<(T, Unfinished), E> {
@@ -34,7 +34,7 @@ impl Unfinished {
     }
 
     /// Registers a file that will be made at `path`.
-    pub fn at(path: &Path) -> Self {
+    pub(crate) fn at(path: &Path) -> Self {
         unfinished().insert(path.to_owned());
         Unfinished(path.to_owned())
     }

@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::Parse`] for a path that is no file, or a larger file.
-pub fn read(path: &Path, most: usize) -> Result<Vec<u8>> {
+pub(crate) fn read(path: &Path, most: usize) -> Result<Vec<u8>> {
     check(path, most)?;
     std::fs::read(path).map_err(|e| Error::io(path, "read", e))
 }
@@ -17,7 +17,7 @@ pub fn read(path: &Path, most: usize) -> Result<Vec<u8>> {
 ///
 /// # Errors
 /// As [`read`].
-pub fn check(path: &Path, most: usize) -> Result<()> {
+pub(crate) fn check(path: &Path, most: usize) -> Result<()> {
     let about = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
     if about.is_dir() {
         return Err(Error::io(path, "read", std::io::ErrorKind::IsADirectory.into()));
@@ -33,10 +33,10 @@ pub fn check(path: &Path, most: usize) -> Result<()> {
     Ok(())
 }
 
-/// Reads text in UTF-8 like [`read`].
+/// Reads a file of at most `most` bytes of text in UTF-8.
 ///
 /// # Errors
-/// As [`read`]; [`Error::Parse`] with the line of the first bytes that are no text.
+/// [`Error::Io`]; [`Error::Parse`] for a larger file, and with the line of the first bytes that are no text.
 pub fn read_text(path: &Path, most: usize) -> Result<String> {
     String::from_utf8(read(path, most)?).map_err(|e| {
         let valid = e.utf8_error().valid_up_to();

@@ -10,13 +10,13 @@ use crate::error::Result;
 use crate::progress::Silent;
 
 /// Version of the factors. It is part of the keys of scaled images.
-pub const VERSION: u32 = 1;
+pub(crate) const VERSION: u32 = 1;
 
 /// The factors by which the images on each detector are multiplied. With one detector the factor is 1: its image is not scaled.
 ///
 /// # Errors
 /// Errors of the engine.
-pub fn beam_factors(plan: &Plan) -> Result<Vec<f64>> {
+pub(crate) fn beam_factors(plan: &Plan) -> Result<Vec<f64>> {
     let settings = &plan.settings;
     let wanted = |d: &Detector| settings.detectors.len() > 1 && seen_directly(settings, d) > 0.0;
     if !settings.large_probe_box() || !settings.detectors.iter().any(wanted) {

@@ -50,7 +50,7 @@ pub struct ImagingChoice {
 }
 
 /// The imager of a field, not yet prepared.
-pub struct ChosenImager {
+pub(crate) struct ChosenImager {
     /// The imager.
     pub imager: Box<dyn RegionImager>,
     /// Whether the imager is cheaper than a simulation of the whole field.
@@ -63,7 +63,7 @@ pub struct ChosenImager {
 
 impl ChosenImager {
     /// Whether the imager is cheaper than a simulation of the whole field.
-    pub fn shares(&self) -> bool {
+    pub(crate) fn shares(&self) -> bool {
         self.shares
     }
 
@@ -71,7 +71,7 @@ impl ChosenImager {
     ///
     /// # Errors
     /// Errors of [`crate::engine::Plan::new`].
-    pub fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+    pub(crate) fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
         let cost = self.imager.cost(subtile, subtiles)?;
         Ok(ImagingCost { mosaic: cost.mosaic.or_else(|| self.declined.clone()), ..cost })
     }
@@ -109,7 +109,7 @@ impl ImagingChoice {
     ///
     /// # Errors
     /// Invalid settings.
-    pub fn imager_of_many(
+    pub(crate) fn imager_of_many(
         &self,
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
@@ -133,7 +133,7 @@ impl ImagingChoice {
     ///
     /// # Errors
     /// Invalid settings.
-    pub fn chosen(
+    pub(crate) fn chosen(
         &self,
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
@@ -162,7 +162,7 @@ impl ImagingChoice {
     ///
     /// # Errors
     /// Invalid settings.
-    pub fn mosaic(
+    pub(crate) fn mosaic(
         &self,
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
@@ -220,7 +220,7 @@ impl ImagingChoice {
     ///
     /// # Errors
     /// Errors of the engine, and [`crate::Error::Interrupted`].
-    pub fn checked_imager(
+    pub(crate) fn checked_imager(
         &self,
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
@@ -286,12 +286,12 @@ impl ImagingChoice {
 
 impl ImagingCheck {
     /// Whether the error is limited.
-    pub fn limited(&self) -> bool {
+    pub(crate) fn limited(&self) -> bool {
         self.max_error_percent.is_some() || self.accuracy_percent.is_some()
     }
 
     /// Whether an audit is requested for any kind of imager.
-    pub fn asked(&self) -> bool {
+    pub(crate) fn asked(&self) -> bool {
         self.direct || self.limited()
     }
 

@@ -51,7 +51,7 @@ impl DirectImager {
     }
 
     /// Rows and columns of the pixels that are simulated in one cell, for a rectangle of this shape.
-    pub fn block(&self, shape: [usize; 2]) -> [usize; 2] {
+    pub(crate) fn block(&self, shape: [usize; 2]) -> [usize; 2] {
         let most = (EXACT_BLOCK_NM / self.recipe.field.pixel_nm()).ceil() as usize;
         match self.simulator.is_exact() {
             true => shape.map(|n| n.div_ceil(n.div_ceil(most).max(1))),
@@ -97,7 +97,7 @@ impl DirectImager {
 ///
 /// # Errors
 /// Errors of [`crate::engine::Plan::new`].
-pub fn rectangle_plan(
+pub(crate) fn rectangle_plan(
     recipe: &CheckedRecipe,
     specimen: &dyn Specimen,
     simulator: &Simulator,

@@ -28,7 +28,7 @@ pub fn mean_atoms(specimen: &dyn Specimen, area: &Region, phonons: &PhononTable)
 }
 
 /// The atoms of `area` in phonon configuration `configuration`, displaced by (seed, configuration, key of the atom).
-pub fn displaced_by_seed(
+pub(crate) fn displaced_by_seed(
     specimen: &dyn Specimen,
     area: &Region,
     which: (u64, usize),
@@ -39,7 +39,7 @@ pub fn displaced_by_seed(
 
 /// Displaces atoms as [`displaced_by_seed`] does, except in columns for which `of_column` gives displacements: it returns the displacement
 /// of the column's n-th site, in standard deviations along the axes of the field.
-pub fn displaced_atoms<M: Fn(usize) -> [f64; 3]>(
+pub(crate) fn displaced_atoms<M: Fn(usize) -> [f64; 3]>(
     specimen: &dyn Specimen,
     area: &Region,
     (seed, configuration): (u64, usize),
@@ -72,7 +72,7 @@ pub fn displaced_atoms<M: Fn(usize) -> [f64; 3]>(
 
 /// Adds the atoms of the layers on the faces to the atoms of a specimen's area. Heights are in Angstrom from the face that the beam enters
 /// first. A beam that moves by `slope` (x, y) per Angstrom of depth meets the specimen at the places where it would meet it without layers.
-pub fn with_layers(
+pub(crate) fn with_layers(
     layers: &SurfaceLayers,
     mut atoms: DisplacedAtoms,
     area: &Region,

@@ -16,13 +16,13 @@ pub struct SimulationRuns {
 
 impl SimulationRuns {
     /// A number of simulations with this plan and cost.
-    pub fn new(planned: PlannedScan, runs: usize) -> Self {
+    pub(crate) fn new(planned: PlannedScan, runs: usize) -> Self {
         SimulationRuns { plan: planned.plan, cost: planned.cost, runs }
     }
 
     /// Replaces the number of probes in each simulation.
     #[must_use]
-    pub fn for_probes(self, probes: usize) -> Self {
+    pub(crate) fn for_probes(self, probes: usize) -> Self {
         SimulationRuns { cost: self.cost.for_probes(probes), ..self }
     }
 }
@@ -48,13 +48,13 @@ pub struct ImagingCost {
 
 impl ImagingCost {
     /// Memory in bytes of the largest arrays on this number of threads.
-    pub fn memory_bytes(&self, threads: usize) -> u64 {
+    pub(crate) fn memory_bytes(&self, threads: usize) -> u64 {
         let largest = self.largest(threads).cost;
         self.image_bytes + largest.memory_bytes(threads)
     }
 
     /// Advice for too little memory: what most of it is used for, and what needs less.
-    pub fn memory_remedy(&self, threads: usize) -> &'static str {
+    pub(crate) fn memory_remedy(&self, threads: usize) -> &'static str {
         let largest = self.largest(threads).cost;
         match self.image_bytes > largest.memory_bytes(threads) {
             true => {

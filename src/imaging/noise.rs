@@ -10,7 +10,7 @@ use crate::rng::{ItemRng, Purpose};
 
 /// Draws the counted electrons of each pixel.
 #[derive(Debug, Clone, Copy)]
-pub struct Noise {
+pub(crate) struct Noise {
     /// Seed of the world.
     pub seed: u64,
     /// Electrons that fall on one pixel: dose times pixel area.
@@ -27,13 +27,13 @@ pub struct Noise {
 const PIXEL_BITS: u32 = 48;
 
 /// Largest number of electrons per pixel. Counts are 32-bit numbers, and some pixels of a plane wave get several times the mean.
-pub const MOST_ELECTRONS_PER_PIXEL: f64 = 1e9;
+pub(crate) const MOST_ELECTRONS_PER_PIXEL: f64 = 1e9;
 
 /// Refuses a dose, in electrons per square Angstrom, whose electrons per pixel of `area_angstrom2` cannot be counted.
 ///
 /// # Errors
 /// [`Error::Invalid`], with the greatest possible dose.
-pub fn check_countable(dose: f64, area_angstrom2: f64) -> Result<()> {
+pub(crate) fn check_countable(dose: f64, area_angstrom2: f64) -> Result<()> {
     // The comparison is not `> most`, so that NaN is refused too.
     if dose * area_angstrom2 <= MOST_ELECTRONS_PER_PIXEL {
         return Ok(());
@@ -50,7 +50,7 @@ pub fn check_countable(dose: f64, area_angstrom2: f64) -> Result<()> {
 impl Noise {
     /// Noise of an image at a dose in electrons per square Angstrom. Pixel (0, 0) of the image is pixel `first` (row, column) of the full
     /// field.
-    pub fn new(recipe: &Recipe, dose: f64, first: [usize; 2]) -> Self {
+    pub(crate) fn new(recipe: &Recipe, dose: f64, first: [usize; 2]) -> Self {
         let field = &recipe.field;
         let pixel_angstrom = 10.0 * field.pixel_nm();
         Noise {
@@ -64,12 +64,12 @@ impl Noise {
 
     /// Noise on another detector of the recipe; 0 is the main one.
     #[must_use]
-    pub fn of_detector(self, detector: u16) -> Self {
+    pub(crate) fn of_detector(self, detector: u16) -> Self {
         Noise { detector, ..self }
     }
 
     /// Counts the electrons of an image of fractions of the beam; both arrays are [row, column]. Counts are limited to 32 bits.
-    pub fn counted(&self, image: &Array2<f32>) -> Array2<u32> {
+    pub(crate) fn counted(&self, image: &Array2<f32>) -> Array2<u32> {
         let mut counts = Array2::zeros(image.dim());
         let lines: Vec<_> = counts.outer_iter_mut().zip(image.outer_iter()).collect();
         lines.into_par_iter().enumerate().for_each(|(row, (mut to, from))| {
@@ -89,7 +89,7 @@ impl Noise {
 
     /// Replaces fractions of the beam by counted electrons divided by the mean electrons of a pixel. The random numbers of a pixel depend
     /// on the seed and its place in the full field only.
-    pub fn apply(&self, band: &mut Array2<f32>, first_row: usize) {
+    pub(crate) fn apply(&self, band: &mut Array2<f32>, first_row: usize) {
         let lines: Vec<_> = band.outer_iter_mut().collect();
         lines.into_par_iter().enumerate().for_each(|(k, mut line)| {
             let start = self.place(first_row + k);

@@ -39,7 +39,7 @@ impl PixelRect {
     }
 
     /// Picks the imaged pixels, [row, column], from an image of all pixels.
-    pub fn sampled(&self, image: Array2<f64>) -> Array2<f64> {
+    pub(crate) fn sampled(&self, image: Array2<f64>) -> Array2<f64> {
         if self.stride == 1 {
             return image;
         }
@@ -74,7 +74,7 @@ impl PixelBox {
     }
 
     /// A scan of an area of a specimen.
-    pub fn of_area(area: Region, scan: Scan, thickness_angstrom: f64) -> Self {
+    pub(crate) fn of_area(area: Region, scan: Scan, thickness_angstrom: f64) -> Self {
         let size = |r: [f64; 2]| 10.0 * (r[1] - r[0]);
         PixelBox { size_angstrom: [size(area.x), size(area.y), thickness_angstrom], area, scan }
     }

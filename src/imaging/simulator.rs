@@ -27,7 +27,7 @@ pub struct Simulator {
 
 /// Window of the default engine in Angstrom. Its error is 0.8 % rms of the mean image on five structures up to 10 nm
 /// ([`crate::engine::window_for`]).
-pub const WINDOW_ANGSTROM: f64 = 7.8;
+pub(crate) const WINDOW_ANGSTROM: f64 = 7.8;
 /// Error in per cent of the mean image for which [`crate::engine::window_for`] chooses the windows of a world by default.
 const ACCURACY_PERCENT: f64 = 0.8;
 
@@ -35,7 +35,7 @@ const ACCURACY_PERCENT: f64 = 0.8;
 ///
 /// # Errors
 /// Errors of [`window_for`].
-pub fn default_window(recipe: &Recipe) -> Result<WindowChoice> {
+pub(crate) fn default_window(recipe: &Recipe) -> Result<WindowChoice> {
     let algorithm = Algorithm::Window { width_angstrom: WINDOW_ANGSTROM };
     let simulator = Simulator::new(recipe, algorithm);
     let thickness_angstrom = recipe.field.thickness_nm * 10.0;
@@ -94,7 +94,7 @@ impl Simulator {
     /// configuration. Elements and mean heights are equal in all configurations.
     ///
     /// # Errors
-    /// As [`Simulator::images`].
+    /// Errors of [`Plan::new`] and [`simulate`]; [`Error::Interrupted`] when asked to stop.
     pub fn means(
         &self,
         pixels: &PixelBox,
@@ -123,7 +123,7 @@ impl Simulator {
     }
 
     /// Number of detectors.
-    pub fn detectors(&self) -> usize {
+    pub(crate) fn detectors(&self) -> usize {
         self.settings.detectors.len()
     }
 
@@ -136,25 +136,25 @@ impl Simulator {
 
     /// The exact engine with otherwise equal settings: multislice on the full grid, with probes as in an infinite specimen.
     #[must_use]
-    pub fn exact(&self) -> Self {
+    pub(crate) fn exact(&self) -> Self {
         let settings = Settings { algorithm: Algorithm::Multislice, ..self.settings.clone() };
         Simulator { settings }.with_large_probe_box()
     }
 
     /// Whether this engine is as [`Simulator::exact`] makes it.
-    pub fn is_exact(&self) -> bool {
+    pub(crate) fn is_exact(&self) -> bool {
         self.settings.algorithm == Algorithm::Multislice && self.settings.large_probe_box()
     }
 
     /// Replaces the slices.
     #[must_use]
-    pub fn with_slices(&self, slicing: Slicing) -> Self {
+    pub(crate) fn with_slices(&self, slicing: Slicing) -> Self {
         Simulator { settings: Settings { slicing, ..self.settings.clone() } }
     }
 
     /// Replaces the number of phonon configurations.
     #[must_use]
-    pub fn with_configurations(&self, configurations: usize) -> Self {
+    pub(crate) fn with_configurations(&self, configurations: usize) -> Self {
         let of = |phonons: Phonons| Phonons { configurations: configurations as u32, ..phonons };
         Simulator {
             settings: Settings { phonons: self.settings.phonons.map(of), ..self.settings.clone() },
@@ -173,7 +173,7 @@ impl Simulator {
 
     /// Replaces the width of the windows.
     #[must_use]
-    pub fn with_window(&self, width_angstrom: f64) -> Self {
+    pub(crate) fn with_window(&self, width_angstrom: f64) -> Self {
         let algorithm = Algorithm::Window { width_angstrom };
         Simulator { settings: Settings { algorithm, ..self.settings.clone() } }
     }
@@ -186,7 +186,7 @@ impl Simulator {
 
     /// Replaces the distance of probes.
     #[must_use]
-    pub fn with_probe_step(&self, probe_step: ProbeStep) -> Self {
+    pub(crate) fn with_probe_step(&self, probe_step: ProbeStep) -> Self {
         Simulator { settings: Settings { probe_step, ..self.settings.clone() } }
     }
 
@@ -214,7 +214,7 @@ impl Simulator {
     ///
     /// # Errors
     /// Errors of [`ProbeRaster::new`].
-    pub fn probes(
+    pub(crate) fn probes(
         &self,
         plan: &Plan,
         shape: [usize; 2],
@@ -234,7 +234,7 @@ impl Simulator {
     }
 
     /// Settings that decide the image.
-    pub fn parameters(&self) -> serde_json::Value {
+    pub(crate) fn parameters(&self) -> serde_json::Value {
         serde_json::to_value(&self.settings).unwrap_or_default()
     }
 
@@ -256,7 +256,7 @@ impl Simulator {
     ///
     /// # Errors
     /// [`Error::Invalid`].
-    pub fn check_margin(&self) -> Result<()> {
+    pub(crate) fn check_margin(&self) -> Result<()> {
         let margin = self.margin_angstrom();
         if (0.0..=(BEYOND_FIELD_NM - DISPLACED_NM) * 10.0).contains(&margin) {
             return Ok(());
@@ -273,7 +273,7 @@ impl Simulator {
     ///
     /// # Errors
     /// Errors of [`Plan::new`] and [`simulate`]; [`Error::Interrupted`] when asked to stop.
-    pub fn images(
+    pub(crate) fn images(
         &self,
         sites: &[Site],
         pixels: &PixelBox,

@@ -18,7 +18,7 @@ use crate::progress::Progress;
 use crate::recipe::{Recipe, Region};
 
 /// An imager whose images are blurred by a source.
-pub struct SourceImager {
+pub(crate) struct SourceImager {
     inner: Box<dyn RegionImager>,
     source: Source,
     pixel_angstrom: f64,
@@ -26,7 +26,7 @@ pub struct SourceImager {
 
 impl SourceImager {
     /// Blurs an imager by the recipe's source, or returns it unchanged for a point source.
-    pub fn blurring(inner: Box<dyn RegionImager>, recipe: &Recipe) -> Box<dyn RegionImager> {
+    pub(crate) fn blurring(inner: Box<dyn RegionImager>, recipe: &Recipe) -> Box<dyn RegionImager> {
         let pixel_angstrom = 10.0 * recipe.field.pixel_nm();
         match recipe.optics.source() {
             Some(source) => Box::new(SourceImager { inner, source, pixel_angstrom }),
@@ -39,7 +39,7 @@ impl SourceImager {
 ///
 /// # Errors
 /// Errors of `sharp` and of the source.
-pub fn blurred(
+pub(crate) fn blurred(
     (source, pixel_angstrom): (Source, f64),
     pixels: &PixelRect,
     sharp: impl FnOnce(&PixelRect) -> Result<Vec<Array2<f64>>>,
@@ -66,7 +66,7 @@ pub fn blurred(
 ///
 /// # Errors
 /// Errors of the source.
-pub fn margin_px(source: Source, pixel_angstrom: f64) -> Result<usize> {
+pub(crate) fn margin_px(source: Source, pixel_angstrom: f64) -> Result<usize> {
     let step_angstrom = [pixel_angstrom; 2];
     let scan = Scan { origin_angstrom: [0.0; 2], step_angstrom, shape: [1, 1] };
     Ok(SourceBlur::new(source, &scan, [f64::INFINITY; 2])?.margin()[0])

@@ -30,12 +30,12 @@ pub struct TurnedRaster {
 
 impl TurnedRaster {
     /// The place of the centre of a pixel; row and column may lie between pixels.
-    pub fn place_nm(&self, row: f64, column: f64) -> [f64; 2] {
+    pub(crate) fn place_nm(&self, row: f64, column: f64) -> [f64; 2] {
         self.places_nm()(row, column)
     }
 
     /// Places of pixels, as [`TurnedRaster::place_nm`] returns them, for many pixels.
-    pub fn places_nm(self) -> impl Fn(f64, f64) -> [f64; 2] + Sync {
+    pub(crate) fn places_nm(self) -> impl Fn(f64, f64) -> [f64; 2] + Sync {
         let [middle_row, middle_column] = self.middle();
         let (sine, cosine) = (libm::sin(self.angle_rad), libm::cos(self.angle_rad));
         let ([x, y], pixel_nm) = (self.centre_nm, self.pixel_nm);
@@ -47,7 +47,7 @@ impl TurnedRaster {
     }
 
     /// Row and column, in pixels, of a place.
-    pub fn place_px(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn place_px(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [middle_row, middle_column] = self.middle();
         let (dx, dy) = (x - self.centre_nm[0], y - self.centre_nm[1]);
         let (sine, cosine) = (libm::sin(self.angle_rad), libm::cos(self.angle_rad));
@@ -56,7 +56,7 @@ impl TurnedRaster {
     }
 
     /// The smallest rectangle of the field around the raster's pixels.
-    pub fn region(&self) -> Region {
+    pub(crate) fn region(&self) -> Region {
         let [rows, columns] = self.shape.map(|n| n as f64 - 0.5);
         let corners = [[-0.5, -0.5], [-0.5, columns], [rows, -0.5], [rows, columns]];
         let corners = corners.map(|[row, column]| self.place_nm(row, column));
@@ -86,7 +86,7 @@ impl TurnedRaster {
 /// configurations. The imager has to be prepared.
 ///
 /// Mosaics and direct simulations are interpolated once, from the simulated probes. Other images are interpolated from the pixels of the
-/// field, which are many times finer than the image's Nyquist distance. The interpolation error is the error of [`Kernel`].
+/// field, which are many times finer than the image's Nyquist distance. The errors of the interpolation are in `resample.rs`.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a raster that reaches out of the full field, or a field of too coarse pixels; errors of the engine, and
@@ -109,7 +109,7 @@ pub fn turned_image(
 ///
 /// # Errors
 /// Errors of [`turned_image`].
-pub fn overview_image(
+pub(crate) fn overview_image(
     recipe: &CheckedRecipe,
     imager: &dyn RegionImager,
     raster: &TurnedRaster,

@@ -5,9 +5,9 @@ use crate::specimen::SiteKind;
 /// The atom that belongs there.
 pub const PRISTINE: i32 = 0;
 /// No atom.
-pub const VACANCY: i32 = 1;
+pub(crate) const VACANCY: i32 = 1;
 /// Another element.
-pub const SUBSTITUTION: i32 = 2;
+pub(crate) const SUBSTITUTION: i32 = 2;
 
 /// Returns the code of a site.
 pub fn code(kind: SiteKind) -> i32 {

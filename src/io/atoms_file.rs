@@ -18,7 +18,7 @@ const COUNT_WIDTH: usize = 20;
 
 /// One site.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AtomRow<'a> {
+pub(crate) struct AtomRow<'a> {
     /// Atomic number; of a vacant site, the atomic number of the missing atom.
     pub number: u8,
     /// Position in Angstrom.
@@ -33,7 +33,7 @@ pub struct AtomRow<'a> {
 
 /// Header of a file of atoms.
 #[derive(Debug, Clone, Default)]
-pub struct AtomsHeader {
+pub(crate) struct AtomsHeader {
     /// Name of the data: `srtio3_easy`.
     pub name: String,
     /// Edges of the (orthogonal) cell in Angstrom.
@@ -46,13 +46,13 @@ pub struct AtomsHeader {
 
 /// Formats rows; cheap to copy to other threads.
 #[derive(Debug, Clone, Copy)]
-pub struct RowFormat {
+pub(crate) struct RowFormat {
     format: Format,
     cell_angstrom: [f64; 3],
 }
 
 /// A file of atoms that is being written.
-pub struct AtomsWriter {
+pub(crate) struct AtomsWriter {
     path: PathBuf,
     out: BufWriter<File>,
     rows: RowFormat,
@@ -63,7 +63,7 @@ impl AtomsWriter {
     ///
     /// # Errors
     /// [`Error::Invalid`] for another ending, [`Error::Io`].
-    pub fn create(path: &Path, name: &Path, header: &AtomsHeader) -> Result<Self> {
+    pub(crate) fn create(path: &Path, name: &Path, header: &AtomsHeader) -> Result<Self> {
         let format = writable(name)?;
         let file = File::create(path).map_err(|e| Error::io(path, "create", e))?;
         let rows = RowFormat { format, cell_angstrom: header.cell_angstrom };
@@ -80,7 +80,7 @@ impl AtomsWriter {
     }
 
     /// Returns the formatter of the rows of this file.
-    pub fn rows(&self) -> RowFormat {
+    pub(crate) fn rows(&self) -> RowFormat {
         self.rows
     }
 
@@ -88,7 +88,7 @@ impl AtomsWriter {
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn append(&mut self, text: impl AsRef<[u8]>) -> Result<()> {
+    pub(crate) fn append(&mut self, text: impl AsRef<[u8]>) -> Result<()> {
         self.out.write_all(text.as_ref()).map_err(|e| Error::io(&self.path, "write", e))
     }
 
@@ -96,7 +96,7 @@ impl AtomsWriter {
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn finish(mut self, count: u64) -> Result<()> {
+    pub(crate) fn finish(mut self, count: u64) -> Result<()> {
         let mut end = || {
             if self.rows.format == Format::ExtXyz {
                 self.out.seek(SeekFrom::Start(0))?;
@@ -125,7 +125,7 @@ pub fn writable(name: &Path) -> Result<Format> {
 
 impl RowFormat {
     /// Appends one row; `serial` numbers the rows of the file from 1.
-    pub fn push(&self, out: &mut Vec<u8>, row: &AtomRow, serial: u64) {
+    pub(crate) fn push(&self, out: &mut Vec<u8>, row: &AtomRow, serial: u64) {
         let vacant = row.atom_type == atom_type::VACANCY;
         let defect = if row.defect.is_empty() { "none" } else { row.defect };
         let symbol = elements::symbol(row.number);

@@ -1,98 +1,43 @@
 //! Files of images and worlds (HDF5; their schemas are defined only here) and of their atoms.
+//!
+//! All that needs HDF5 is in `hdf5`; readers and writers of other programs' files are in `foreign` (feature `report`).
 
-#[cfg(feature = "report")]
-pub mod arrays;
 pub mod atom_type;
 mod atoms_file;
 #[cfg(feature = "report")]
-mod hdf5_axes;
+mod foreign;
 #[cfg(feature = "hdf5")]
-mod hdf5_create;
-#[cfg(feature = "hdf5")]
-mod hdf5_errors;
-#[cfg(feature = "hdf5")]
-mod hdf5_filters;
-#[cfg(feature = "hdf5")]
-mod hdf5_guard;
-#[cfg(feature = "hdf5")]
-mod hdf5_look;
-#[cfg(feature = "hdf5")]
-mod hdf5_open;
-#[cfg(feature = "hdf5")]
-mod hdf5_values;
-#[cfg(feature = "hdf5")]
-pub mod hspy_file;
-#[cfg(feature = "hdf5")]
-mod hspy_patterns;
-#[cfg(feature = "hdf5")]
-pub mod image_file;
-#[cfg(feature = "hdf5")]
-pub mod image_series;
-#[cfg(feature = "report")]
-mod length_units;
-#[cfg(feature = "report")]
-mod named_axes;
-#[cfg(feature = "report")]
-pub mod npz_file;
-#[cfg(feature = "hdf5")]
-pub mod pattern_file;
-#[cfg(feature = "hdf5")]
-pub mod pattern_format;
-#[cfg(feature = "hdf5")]
-pub mod pattern_run;
-#[cfg(feature = "hdf5")]
-mod raw_patterns;
-#[cfg(feature = "report")]
-pub mod recorded;
-#[cfg(feature = "hdf5")]
-pub mod recording_file;
-#[cfg(feature = "hdf5")]
-pub mod schema;
-#[cfg(feature = "hdf5")]
-mod stack_truth;
-#[cfg(feature = "hdf5")]
-mod stored_images;
-#[cfg(feature = "report")]
-pub mod tiff_file;
-#[cfg(feature = "hdf5")]
-mod truth_writer;
-#[cfg(feature = "hdf5")]
-mod world_contents;
-#[cfg(feature = "hdf5")]
-mod world_detectors;
-#[cfg(feature = "hdf5")]
-mod world_file;
-#[cfg(feature = "hdf5")]
-mod world_making;
-#[cfg(feature = "hdf5")]
-mod world_metadata;
-#[cfg(feature = "hdf5")]
-mod world_truth;
-#[cfg(feature = "hdf5")]
-mod world_types;
-#[cfg(feature = "hdf5")]
-mod world_writer;
+mod hdf5;
 
-pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
-#[cfg(feature = "hdf5")]
-use hdf5_errors::At;
-#[cfg(feature = "hdf5")]
-pub use hdf5_look::read_through;
-#[cfg(feature = "hdf5")]
-pub use stack_truth::{DislocationRow, LayerRow};
-#[cfg(feature = "hdf5")]
-pub use stored_images::{ImageKind, StoredImage, StoredImages};
-#[cfg(feature = "hdf5")]
-pub use truth_writer::{LineKind, ParticleBatch, TruthBatch, TruthWriter};
+pub use atoms_file::writable;
+pub(crate) use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat};
 #[cfg(feature = "report")]
-use world_file::regular_file;
+pub(crate) use foreign::npz_file::write_npz;
+#[cfg(feature = "report")]
+pub use foreign::{
+    arrays, recorded,
+    tiff_file::{TiffDepth, write_tiff},
+};
+// `self`, because a crate is called `hdf5` too.
 #[cfg(feature = "hdf5")]
-pub use world_file::{GroundTruth, WorldFile};
+pub(crate) use self::hdf5::worlds::{
+    recording_file::{RecordingFile, SeriesPart, write_recording},
+    truth_writer::{LineKind, TruthBatch, TruthWriter},
+    world_writer::{Header, WorldWriter},
+};
 #[cfg(feature = "hdf5")]
-pub use world_making::{RecordedSource, WorldMaking};
-#[cfg(feature = "hdf5")]
-pub use world_metadata::WorldMetadata;
-#[cfg(feature = "hdf5")]
-pub use world_truth::{BoundaryLine, WorldColumn};
-#[cfg(feature = "hdf5")]
-pub use world_writer::{Header, WorldWriter};
+pub use self::hdf5::{
+    images::hspy_file::HspyFacts, images::hspy_file::create_hspy, images::hspy_file::write_hspy,
+    images::image_file::ExitWaves, images::image_file::ImageCounts, images::image_file::ImageStack,
+    images::image_file::Origin, images::image_file::write_images,
+    images::image_series::ImageSeries, images::stored_images::ImageKind,
+    images::stored_images::StoredImage, images::stored_images::StoredImages,
+    patterns::pattern_file::PatternFile, patterns::pattern_file::PatternHeader,
+    patterns::pattern_file::data_bytes, patterns::pattern_format::PatternFormat,
+    patterns::pattern_run::PatternRun, patterns::pattern_run::WrittenPatterns, read_through,
+    worlds::schema, worlds::stack_truth::DislocationRow, worlds::stack_truth::LayerRow,
+    worlds::truth_writer::ParticleBatch, worlds::world_file::GroundTruth,
+    worlds::world_file::WorldFile, worlds::world_making::RecordedSource,
+    worlds::world_making::WorldMaking, worlds::world_metadata::WorldMetadata,
+    worlds::world_truth::BoundaryLine, worlds::world_truth::WorldColumn,
+};

@@ -45,11 +45,6 @@ impl PlacePatterns {
     pub fn origin_nm(&self) -> [f64; 2] {
         self.origin_nm
     }
-
-    /// The dose in electrons per square Angstrom.
-    pub fn dose(&self) -> f64 {
-        self.exposure.dose()
-    }
 }
 
 impl LiveWorld {

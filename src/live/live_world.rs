@@ -25,7 +25,7 @@ use crate::world::{
 };
 
 /// Default largest dose of a live world, in electrons per square Angstrom.
-pub const MOST_DOSE: f64 = 1e6;
+pub(crate) const MOST_DOSE: f64 = 1e6;
 /// Doses that differ by less than this share are equal.
 const ROUNDING: f64 = 1e-9;
 /// Largest dose of a single place, in units of the largest mean dose.

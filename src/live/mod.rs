@@ -14,4 +14,4 @@ mod series_writer;
 pub use dose_series::{DoseSeries, check_recordings};
 pub use live_history::{LiveAcquisition, LiveSnapshot};
 pub use live_patterns::PlacePatterns;
-pub use live_world::{LiveOptions, LiveRequest, LiveTruth, LiveWorld, MOST_DOSE};
+pub use live_world::{LiveOptions, LiveRequest, LiveTruth, LiveWorld};

@@ -6,10 +6,10 @@ use std::path::Path;
 use super::dose_series::DoseSeries;
 use super::live_world::LiveWorld;
 use crate::error::Result;
-use crate::io::recording_file::{RecordingFile, SeriesPart, write_recording};
+use crate::io::{RecordingFile, SeriesPart, write_recording};
 
 impl DoseSeries {
-    /// Writes a file with the recordings and their truth. Its schema is described in [`crate::io::recording_file`].
+    /// Writes a file with the recordings and their truth. Its schema is described in `recording_file.rs`.
     ///
     /// # Errors
     /// [`crate::Error::Io`], [`crate::Error::Hdf5`].

@@ -83,7 +83,7 @@ impl Aberration {
     ///
     /// # Errors
     /// Errors of [`Aberration::parse`].
-    pub fn validate(&self) -> Result<()> {
+    pub(crate) fn validate(&self) -> Result<()> {
         let Aberration { order, symmetry, magnitude_angstrom, azimuth_rad } = *self;
         Self::parse(&format!("C{order}{symmetry}={magnitude_angstrom}@{azimuth_rad}")).map(drop)
     }
@@ -147,7 +147,7 @@ pub enum ApertureEdge {
 }
 
 /// Largest mistilt along x and y in mrad: beyond, the columns of a crystal lie side by side.
-pub const MOST_MISTILT_MRAD: f64 = 20.0;
+pub(crate) const MOST_MISTILT_MRAD: f64 = 20.0;
 
 /// Beam energy, aperture and aberrations, mistilt and focal spread.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -195,7 +195,7 @@ impl Default for Optics {
 
 impl Optics {
     /// Electron wavelength in Angstrom.
-    pub fn wavelength_angstrom(&self) -> f64 {
+    pub(crate) fn wavelength_angstrom(&self) -> f64 {
         wavelength_angstrom(self.energy_ev)
     }
 
@@ -203,7 +203,7 @@ impl Optics {
     ///
     /// # Errors
     /// [`Error::Invalid`] for an energy, a semiangle or an aberration out of range, naming the range.
-    pub fn validate(&self) -> Result<()> {
+    pub(crate) fn validate(&self) -> Result<()> {
         let kev = self.energy_ev / 1e3;
         if !ENERGY_KEV.contains(&kev) {
             let (low, high) = (ENERGY_KEV.start(), ENERGY_KEV.end());
@@ -283,7 +283,7 @@ impl Optics {
 
     /// Amplitude of the lens' transfer, `A exp(-i chi)`, at spatial frequency `k` (1/Angstrom) on a
     /// Fourier grid of spacing `dk` (1/Angstrom).
-    pub fn transfer(&self, k: [f64; 2], dk: [f64; 2]) -> Complex64 {
+    pub(crate) fn transfer(&self, k: [f64; 2], dk: [f64; 2]) -> Complex64 {
         let lambda = self.wavelength_angstrom();
         // Most of a grid lies far outside the aperture and its soft edge.
         let beyond = self.semiangle_mrad * 1e-3 / lambda + dk[0] + dk[1];

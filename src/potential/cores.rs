@@ -9,7 +9,7 @@
 //! with `v = sigma V` of one atom, `v_s` the smoothed `v`, and `u_a = exp(i sum v_s)` of the other atoms at r_a. The approximation is that
 //! the potentials of other atoms are constant across a core, which is some 0.1 A wide. Compared with grids of 0.005 A, the error of the
 //! amplitudes beyond 68 mrad is 0.1 % rms for atoms 1.4 A or more apart in projection. The error is 0.2 % (2.4 %) for two Pt atoms 0.8 A
-//! (0.3 A) apart in one slice, and 0.2 % (0.8 %) for two C atoms 0.5 A (0.2 A) apart. [`Cores::suits`] refuses atoms that are closer.
+//! (0.3 A) apart in one slice, and 0.2 % (0.8 %) for two C atoms 0.5 A (0.2 A) apart. `Cores::suits` refuses atoms that are closer.
 
 use super::bessel::J0;
 use super::projected::{PlacedAtom, push_powers};
@@ -35,7 +35,7 @@ const CLOSE_ANGSTROM: f64 = 0.5;
 const CLOSE_STRENGTH: f64 = 0.1;
 
 /// The cores of atoms in a periodic cell, at frequencies `-reach..=reach`.
-pub struct Cores {
+pub(crate) struct Cores {
     reach: [usize; 2],
     extent: [f64; 2],
     species: Vec<Core>,
@@ -51,7 +51,7 @@ struct Core {
 
 /// Work space of one thread.
 #[derive(Default)]
-pub struct CoreScratch {
+pub(crate) struct CoreScratch {
     /// Rows of cosines and of sines along y, columns of real and of imaginary parts along x.
     products: Vec<f32>,
 }
@@ -63,7 +63,7 @@ impl Cores {
     ///
     /// # Errors
     /// [`crate::Error::UnknownElement`] for an element that the table lacks.
-    pub fn new(
+    pub(crate) fn new(
         parametrization: Parametrization,
         elements: &[u8],
         extent: [f64; 2],
@@ -79,7 +79,7 @@ impl Cores {
     }
 
     /// Shape (rows = ky, columns = kx) of the array that [`Cores::add`] fills; frequency 0 is in the middle.
-    pub fn shape(&self) -> (usize, usize) {
+    pub(crate) fn shape(&self) -> (usize, usize) {
         (2 * self.reach[1] + 1, 2 * self.reach[0] + 1)
     }
 
@@ -88,7 +88,7 @@ impl Cores {
     }
 
     /// Whether atoms of one slice are far enough apart for the method.
-    pub fn suits(&self, atoms: &[PlacedAtom]) -> bool {
+    pub(crate) fn suits(&self, atoms: &[PlacedAtom]) -> bool {
         let strength = |i: usize| self.core(atoms[i].number).map_or(0.0, |c| c.phase[0]);
         let mut suits = true;
         for_each_pair(&self.flat(atoms), CLOSE_ANGSTROM, |i, j, _| {
@@ -99,7 +99,7 @@ impl Cores {
 
     /// Fills `out` with the cores' part of the Fourier coefficients of the transmission function, an array of the shape
     /// [`Cores::shape`], row-major.
-    pub fn add(&self, atoms: &[PlacedAtom], out: &mut Vec<Complex32>, w: &mut CoreScratch) {
+    pub(crate) fn add(&self, atoms: &[PlacedAtom], out: &mut Vec<Complex32>, w: &mut CoreScratch) {
         let (ny, nx) = self.shape();
         out.clear();
         out.resize(ny * nx, Complex32::ZERO);
@@ -254,7 +254,7 @@ impl Smooth {
 
 /// Cross section in Angstrom^2 of one atom for scattering into angles of `k` from `inner` to `outer`
 /// (1/Angstrom): `int |F[exp(i v) - 1](k)|^2 d^2k`.
-pub fn cross_section(factor: &ScatteringFactor, sigma: f64, inner: f64, outer: f64) -> f64 {
+pub(crate) fn cross_section(factor: &ScatteringFactor, sigma: f64, inner: f64, outer: f64) -> f64 {
     let intervals = 64;
     let step = (outer - inner) / intervals as f64;
     let ks: Vec<f64> = (0..=intervals).map(|i| inner + i as f64 * step).collect();
@@ -267,7 +267,7 @@ pub fn cross_section(factor: &ScatteringFactor, sigma: f64, inner: f64, outer: f
 
 /// Scattering amplitudes `F[exp(i v) - 1](k)` of one atom in Angstrom^2, one for each of `ks` (1/Angstrom); v is `sigma` times
 /// the projected potential.
-pub fn amplitudes(factor: &ScatteringFactor, sigma: f64, ks: &[f64]) -> Vec<Complex64> {
+pub(crate) fn amplitudes(factor: &ScatteringFactor, sigma: f64, ks: &[f64]) -> Vec<Complex64> {
     let unit = sigma * POTENTIAL_PER_SCATTERING_FACTOR;
     // Out to 6 A: the potential further out scatters to smaller angles.
     let points: Vec<(f64, Complex64)> = radial_points(2.0)

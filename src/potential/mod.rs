@@ -1,7 +1,11 @@
 //! Projected potentials of atoms: scattering factors, slices, structure factors.
 
 mod bessel;
-pub mod cores;
-pub mod projected;
-pub mod scattering;
-pub mod slices;
+pub(crate) mod cores;
+pub(crate) mod projected;
+pub(crate) mod scattering;
+pub(crate) mod slices;
+
+pub use projected::Projection;
+pub use scattering::Parametrization;
+pub use slices::{Slices, Slicing};

@@ -35,7 +35,7 @@ const RADIAL_POINTS: usize = 4096;
 
 /// An atom at its position in one phonon configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PlacedAtom {
+pub(crate) struct PlacedAtom {
     /// Position in Angstrom.
     pub position: [f64; 3],
     /// Atomic number.
@@ -44,7 +44,7 @@ pub struct PlacedAtom {
 
 /// The filter for the potentials of atoms in Fourier space (infinite projection only).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum PotentialFilter {
+pub(crate) enum PotentialFilter {
     /// No filter.
     AsIs,
     /// Multiplied by `exp(-q^2 / 2 cutoff^2)` in Fourier space.
@@ -57,7 +57,7 @@ pub enum PotentialFilter {
 }
 
 /// Computes projected potentials on one grid.
-pub struct Projector {
+pub(crate) struct Projector {
     fft: Fft2,
     extent: [f64; 2],
     /// Whether atoms are spread over grid points ([`PotentialFilter::AbtemPlacement`]).
@@ -73,7 +73,7 @@ struct Species {
 }
 
 /// Work space of one thread.
-pub struct ProjectorScratch {
+pub(crate) struct ProjectorScratch {
     fft: Scratch,
     /// Rows of cosines and of sines along y, columns of cosines and of sines along x.
     products: Vec<f32>,
@@ -84,7 +84,7 @@ impl Projector {
     ///
     /// # Errors
     /// [`crate::Error::UnknownElement`] for an element that the table lacks.
-    pub fn new(
+    pub(crate) fn new(
         (ny, nx): (usize, usize),
         extent: [f64; 2],
         parametrization: Parametrization,
@@ -119,12 +119,12 @@ impl Projector {
     }
 
     /// The transform of this grid.
-    pub fn fft(&self) -> &Fft2 {
+    pub(crate) fn fft(&self) -> &Fft2 {
         &self.fft
     }
 
     /// Work space for one thread.
-    pub fn scratch(&self) -> ProjectorScratch {
+    pub(crate) fn scratch(&self) -> ProjectorScratch {
         let (ny, nx) = self.fft.shape();
         let (high, wide) = (ny / 2 + 1, nx / 2 + 1);
         ProjectorScratch { fft: self.fft.scratch(), products: vec![0.0; 4 * high * wide] }
@@ -132,7 +132,12 @@ impl Projector {
 
     /// The projected potential, in V Angstrom, of a slice to which all of `atoms` belong. `out` is an array of
     /// [`Projector::fft`] (rows = y, columns = x); it holds pairs of rows as [`Fft2::inverse_real`] leaves them.
-    pub fn infinite(&self, atoms: &[PlacedAtom], out: &mut Buffer, scratch: &mut ProjectorScratch) {
+    pub(crate) fn infinite(
+        &self,
+        atoms: &[PlacedAtom],
+        out: &mut Buffer,
+        scratch: &mut ProjectorScratch,
+    ) {
         out.fill(Complex32::ZERO);
         for species in &self.species {
             let mine = atoms.iter().filter(|a| a.number == species.number).map(|a| a.position);
@@ -143,7 +148,7 @@ impl Projector {
 
     /// The projected potential of slice `index` with finite projection; `atoms` holds the atoms of the whole specimen. `out` has the layout
     /// of [`Projector::infinite`].
-    pub fn finite(
+    pub(crate) fn finite(
         &self,
         atoms: &[PlacedAtom],
         slices: &Slices,

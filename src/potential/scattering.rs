@@ -38,7 +38,7 @@ pub(super) enum Term {
 
 /// The scattering factor of one element.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ScatteringFactor {
+pub(crate) struct ScatteringFactor {
     pub(super) terms: Vec<Term>,
 }
 
@@ -47,7 +47,7 @@ impl ScatteringFactor {
     ///
     /// # Errors
     /// [`Error::UnknownElement`] for an element beyond the end of the table.
-    pub fn new(parametrization: Parametrization, number: u8) -> Result<Self> {
+    pub(crate) fn new(parametrization: Parametrization, number: u8) -> Result<Self> {
         let p = table(parametrization)
             .get(number as usize)
             .filter(|p| !p.is_empty())
@@ -76,7 +76,7 @@ impl ScatteringFactor {
     }
 
     /// `f` in Angstrom at `q2 = q^2` in 1/Angstrom^2.
-    pub fn at(&self, q2: f64) -> f64 {
+    pub(crate) fn at(&self, q2: f64) -> f64 {
         let term = |t: &Term| match *t {
             Term::Lorentzian { a, b } => a / (q2 + b),
             Term::SquaredLorentzian { a, b } => a / ((q2 + b) * (q2 + b)),
@@ -86,7 +86,7 @@ impl ScatteringFactor {
     }
 
     /// [`ScatteringFactor::at`] at many places, with identical digits.
-    pub fn at_each(&self, q2: &[f64]) -> Vec<f64> {
+    pub(crate) fn at_each(&self, q2: &[f64]) -> Vec<f64> {
         let mut sums = vec![0.0; q2.len()];
         vectorised(
             #[inline(always)]
@@ -111,7 +111,7 @@ impl ScatteringFactor {
     /// The projected potential at distance `r` (Angstrom, above 0) from the axis, in units of
     /// [`POTENTIAL_PER_SCATTERING_FACTOR`](crate::constants::POTENTIAL_PER_SCATTERING_FACTOR):
     /// `2 pi int f(q) J0(2 pi q r) q dq` in 1/Angstrom, in closed form.
-    pub fn projected(&self, r: f64) -> f64 {
+    pub(crate) fn projected(&self, r: f64) -> f64 {
         let term = |t: &Term| match *t {
             Term::Lorentzian { a, b } => 2.0 * PI * a * puruspe::Kn(0, 2.0 * PI * b.sqrt() * r),
             Term::SquaredLorentzian { a, b } => {
@@ -125,7 +125,7 @@ impl ScatteringFactor {
     /// The part of `f` that belongs to the potential between `z1` and `z2` (Angstrom, measured from
     /// the nucleus along the beam), at transverse `q2`: `f_slab(q) = int_z1^z2 dz int dk_z f exp(2 pi
     /// i k_z z)`. From minus to plus infinity it is [`ScatteringFactor::at`].
-    pub fn between(&self, q2: f64, z1: f64, z2: f64) -> f64 {
+    pub(crate) fn between(&self, q2: f64, z1: f64, z2: f64) -> f64 {
         self.terms.iter().map(|t| t.below(q2, z2) - t.below(q2, z1)).sum()
     }
 }

@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 #[non_exhaustive]
 pub enum Slicing {
     /// One slice per atomic plane, cut midway between planes. In specimens without planes, atoms within
-    /// [`GROUP_ANGSTROM`] along the beam share a slice.
+    /// 0.5 A along the beam share a slice.
     #[default]
     Planes,
-    /// [`Slicing::Planes`] where atoms form planes. Elsewhere [`Slicing::Local`] of [`LOCAL_ANGSTROM`] for engines with windows, and
-    /// [`Slicing::Grouped`] of [`GROUP_ANGSTROM`] for others.
+    /// [`Slicing::Planes`] where atoms form planes. Elsewhere [`Slicing::Local`] of 0.35 A for engines with windows, and
+    /// [`Slicing::Grouped`] of 0.5 A for others.
     Auto,
     /// Atoms within this distance in Angstrom along the beam share a slice, at their mean height.
     Grouped(f64),
@@ -30,14 +30,14 @@ pub enum Slicing {
 /// along the beam. Moving an atom by 1 A turns the phase of its wave by 0.6 rad at 68 mrad and 200 kV. Measured on a tilted Pt
 /// particle of 2.8 nm in one phonon configuration, against 0.05 A: bright pixels are off by 0.68 % rms with 0.5 A, by
 /// 0.43 % with 0.25 A, and by 0.27 % with 0.15 A. With even slices of 1 A, bright columns are off by 1.8 %, against 0.25 A.
-pub const GROUP_ANGSTROM: f64 = 0.5;
+pub(crate) const GROUP_ANGSTROM: f64 = 0.5;
 /// Atoms of specimens without planes share a slice in windows if they lie within this distance in Angstrom along the beam, at the height of
 /// those near the middle of the window. `cargo bench --bench slices` (a tilted Pt particle, windows of 5.9 A): 0.10 % rms of the mean, where
 /// one height gives 0.37 %, in 0.6 of its time.
-pub const LOCAL_ANGSTROM: f64 = 0.35;
+pub(crate) const LOCAL_ANGSTROM: f64 = 0.35;
 /// The exact engine's distance in Angstrom within which atoms of specimens without planes share a slice: 0.10 % rms of the mean in the same
 /// bench.
-pub const FINE_ANGSTROM: f64 = 0.1;
+pub(crate) const FINE_ANGSTROM: f64 = 0.1;
 /// Thickness of slices where there are no atoms.
 const EMPTY_THICKNESS_ANGSTROM: f64 = 1.0;
 /// Thicknesses of slices that may be asked for. Thinner ones cost time and gain nothing.
@@ -55,7 +55,7 @@ const FACE_ROOM_ANGSTROM: f64 = 0.5;
 
 impl Slicing {
     /// Replaces [`Slicing::Auto`] by the slices that it stands for, in a cell of `height` Angstrom with atoms at mean heights `z`.
-    pub fn resolved(self, windows: bool, height: f64, z: &[f64]) -> Slicing {
+    pub(crate) fn resolved(self, windows: bool, height: f64, z: &[f64]) -> Slicing {
         let auto = self == Slicing::Auto && height > 0.0 && height.is_finite();
         match auto {
             false => self,
@@ -66,7 +66,7 @@ impl Slicing {
     }
 
     /// The slices of the exact engine: as these, but finer where [`Slicing::Auto`] finds no planes.
-    pub fn exact(self, height: f64, z: &[f64]) -> Slicing {
+    pub(crate) fn exact(self, height: f64, z: &[f64]) -> Slicing {
         match (self, self.resolved(false, height, z)) {
             (Slicing::Auto, Slicing::Grouped(_)) => Slicing::Grouped(FINE_ANGSTROM),
             _ => self,
@@ -97,7 +97,7 @@ impl Slices {
     ///
     /// # Errors
     /// [`Error::Invalid`] for a height that is not positive, and for a thickness or span out of range.
-    pub fn new(slicing: Slicing, height: f64, z: &[f64]) -> Result<Self> {
+    pub(crate) fn new(slicing: Slicing, height: f64, z: &[f64]) -> Result<Self> {
         if !(height > 0.0 && height.is_finite()) {
             return Err(Error::invalid(
                 crate::Setting::CellHeightAngstrom,
@@ -166,29 +166,29 @@ impl Slices {
         self.planes.len()
     }
 
-    /// Whether there is no slice; [`Slices::new`] makes at least one.
+    /// Whether there is no slice; there is always at least one.
     pub fn is_empty(&self) -> bool {
         self.planes.is_empty()
     }
 
     /// Height of the entrance surface in Angstrom.
-    pub fn entrance(&self) -> f64 {
+    pub(crate) fn entrance(&self) -> f64 {
         self.boundaries[0]
     }
 
     /// Total thickness in Angstrom.
-    pub fn thickness(&self) -> f64 {
+    pub(crate) fn thickness(&self) -> f64 {
         self.boundaries[self.len()] - self.boundaries[0]
     }
 
     /// `mean_z` (Angstrom), wrapped into the period that is cut into slices.
-    pub fn wrap(&self, mean_z: f64) -> f64 {
+    pub(crate) fn wrap(&self, mean_z: f64) -> f64 {
         wrap(mean_z, self.entrance(), self.thickness())
     }
 
     /// The slice that contains height `z`. Beyond the surfaces it is the first or last one, so that an atom displaced out of the specimen
     /// is kept.
-    pub fn index(&self, z: f64) -> usize {
+    pub(crate) fn index(&self, z: f64) -> usize {
         let inner = &self.boundaries[1..self.len()];
         inner.partition_point(|b| *b <= z)
     }

@@ -71,7 +71,7 @@ pub enum DataCreator {
 
 impl DataCreator {
     /// Returns the name.
-    pub fn name(&self) -> &str {
+    pub(crate) fn name(&self) -> &str {
         match self {
             DataCreator::Person(name) | DataCreator::Organization(name) => name,
         }
@@ -116,7 +116,7 @@ impl CardAbout {
     }
 
     /// Returns the properties that Croissant requires or recommends, and that were not given.
-    pub fn missing(&self) -> Vec<&'static str> {
+    pub(crate) fn missing(&self) -> Vec<&'static str> {
         let said = [
             ("license", self.license.is_some()),
             ("creator", !self.creators.is_empty()),

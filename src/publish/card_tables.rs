@@ -6,8 +6,7 @@ use std::path::Path;
 
 use super::card_world::CardWorld;
 use crate::error::{Error, Result};
-use crate::io::schema::atom_type;
-use crate::io::{GroundTruth, WorldFile};
+use crate::io::{GroundTruth, WorldFile, atom_type};
 use crate::progress::Progress;
 use crate::structure::elements;
 

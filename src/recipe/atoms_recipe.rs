@@ -30,7 +30,7 @@ impl Recipe {
     ///
     /// # Errors
     /// Errors of the file.
-    pub fn of_atoms_file(path: &Path) -> Result<Self> {
+    pub(crate) fn of_atoms_file(path: &Path) -> Result<Self> {
         let mut table = AtomsTable::new(&path.display().to_string());
         table.find(Path::new(""))?;
         let atoms = table.atoms(Path::new(""))?;

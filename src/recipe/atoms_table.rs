@@ -47,7 +47,7 @@ pub fn is_atoms_file(path: &Path) -> bool {
 
 impl AtomsTable {
     /// Makes a table for a file that has not been searched yet.
-    pub fn new(file: &str) -> Self {
+    pub(crate) fn new(file: &str) -> Self {
         AtomsTable { file: file.to_owned(), sha256: None, origin_angstrom: None, repeat: false }
     }
 

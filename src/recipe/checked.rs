@@ -78,7 +78,7 @@ impl CheckedRecipe {
     ///
     /// # Errors
     /// [`Error::Invalid`] for particles, each of which has its own orientation, and for the atoms of a file.
-    pub fn structure(&self) -> Result<&Structure> {
+    pub(crate) fn structure(&self) -> Result<&Structure> {
         match &*self.0.crystals {
             OrientedCrystals::Columns { structure, .. } => Ok(structure),
             _ => Err(self.lacks("crystal along a zone axis")),
@@ -89,7 +89,7 @@ impl CheckedRecipe {
     ///
     /// # Errors
     /// As [`CheckedRecipe::structure`].
-    pub fn columns(&self) -> Result<&ColumnCrystal> {
+    pub(crate) fn columns(&self) -> Result<&ColumnCrystal> {
         match &*self.0.crystals {
             OrientedCrystals::Columns { columns, .. } => Ok(columns),
             _ => Err(self.lacks("crystal along a zone axis")),
@@ -100,7 +100,7 @@ impl CheckedRecipe {
     ///
     /// # Errors
     /// [`Error::Invalid`] for other specimens.
-    pub fn second_crystal(&self) -> Result<&Structure> {
+    pub(crate) fn second_crystal(&self) -> Result<&Structure> {
         match &*self.0.crystals {
             OrientedCrystals::Columns { second: Some(second), .. } => Ok(second),
             _ => Err(self.lacks("second crystal")),
@@ -111,7 +111,7 @@ impl CheckedRecipe {
     ///
     /// # Errors
     /// [`Error::Invalid`] for other specimens.
-    pub fn metal(&self) -> Result<(u8, &Metal)> {
+    pub(crate) fn metal(&self) -> Result<(u8, &Metal)> {
         match &*self.0.crystals {
             OrientedCrystals::Particles { number, metal } => Ok((*number, metal)),
             _ => Err(self.lacks("particles")),
@@ -122,7 +122,7 @@ impl CheckedRecipe {
     ///
     /// # Errors
     /// [`Error::Invalid`] for other specimens.
-    pub fn atoms(&self) -> Result<&Arc<LabelledAtoms>> {
+    pub(crate) fn atoms(&self) -> Result<&Arc<LabelledAtoms>> {
         match &*self.0.crystals {
             OrientedCrystals::Atoms(atoms) => Ok(atoms),
             _ => Err(self.lacks("file of atoms")),
@@ -133,7 +133,7 @@ impl CheckedRecipe {
     ///
     /// # Errors
     /// [`Error::Invalid`] for other specimens.
-    pub fn stack(&self) -> Result<&Arc<StackedCrystals>> {
+    pub(crate) fn stack(&self) -> Result<&Arc<StackedCrystals>> {
         match &*self.0.crystals {
             OrientedCrystals::Stack(stack) => Ok(stack),
             _ => Err(self.lacks("layers")),
@@ -144,7 +144,7 @@ impl CheckedRecipe {
     ///
     /// # Errors
     /// Errors of the files of crystals.
-    pub fn notes(&self) -> Result<Vec<String>> {
+    pub(crate) fn notes(&self) -> Result<Vec<String>> {
         let mut notes = Vec::new();
         for crystal in self.crystals() {
             notes.extend(crystal.notes()?);

@@ -41,7 +41,9 @@ pub fn check_particles(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String
 
 /// Adds where particles of other crystals are made.
 fn other_crystal(mut fault: Fault) -> Fault {
-    fault.expected.push_str("; structure = \"stack\" makes particles of any crystal ([[stack.particles]])");
+    fault
+        .expected
+        .push_str("; structure = \"stack\" makes particles of any crystal ([[stack.particles]])");
     fault
 }
 

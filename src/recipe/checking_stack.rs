@@ -74,7 +74,8 @@ pub fn check_stack(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> 
     check_atoms(&layers, end, table, &recipe.field)?;
     let (least, symbols) = distances_and_elements(&layers, &precipitates, &particles);
     let phases = table.phases();
-    let stack = StackedCrystals { phases, layers, end, dislocations, precipitates, particles, least };
+    let stack =
+        StackedCrystals { phases, layers, end, dislocations, precipitates, particles, least };
     Ok((OrientedCrystals::Stack(Arc::new(stack)), symbols))
 }
 

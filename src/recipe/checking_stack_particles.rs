@@ -3,9 +3,7 @@
 use super::checking_extended::{check_place, item_key};
 use super::checking_stack::check_whole;
 use super::fault::{Checked, crystal_fault, fault, within};
-use super::stack_table::{
-    ParticleShape, ParticleSide, StackDirection, StackParticles, StackTable,
-};
+use super::stack_table::{ParticleShape, ParticleSide, StackDirection, StackParticles, StackTable};
 use super::stacked_crystals::{CheckedParticles, ParticleForm, ParticleOrientation};
 use super::tables::Field;
 use crate::models::particles::facets::{Facet, Polyhedron, plane_normal};
@@ -36,8 +34,7 @@ pub fn check_stack_particles(table: &StackTable, field: &Field) -> Checked<Vec<C
         let key = |name: &str| item_key("particles", n, name);
         check_room(n, given, table, field)?;
         check_keys(n, given)?;
-        let structure =
-            given.crystal.structure().map_err(|e| crystal_fault(&key("crystal"), e))?;
+        let structure = given.crystal.structure().map_err(|e| crystal_fault(&key("crystal"), e))?;
         check_whole(&key("crystal"), &structure)?;
         let form = form(n, given, &structure)?;
         let orientation = orientation(n, given, &structure)?;
@@ -52,8 +49,7 @@ pub fn check_stack_particles(table: &StackTable, field: &Field) -> Checked<Vec<C
 fn check_room(n: usize, given: &StackParticles, table: &StackTable, field: &Field) -> Checked {
     let key = |name: &str| item_key("particles", n, name);
     let [low, high] = given.diameter_nm;
-    let cluster =
-        matches!(given.shape, ParticleShape::Icosahedral | ParticleShape::Decahedral);
+    let cluster = matches!(given.shape, ParticleShape::Icosahedral | ParticleShape::Decahedral);
     let greatest = if cluster { GREATEST_CLUSTER_NM } else { DIAMETERS_NM[1] };
     within(&key("diameter_nm"), low, DIAMETERS_NM[0], greatest)?;
     within(&key("diameter_nm"), high, DIAMETERS_NM[0], greatest)?;
@@ -87,10 +83,9 @@ fn check_room(n: usize, given: &StackParticles, table: &StackTable, field: &Fiel
     if room < 0.3 * high {
         let (name, what) = match given.side {
             ParticleSide::Entrance => ("begin_nm", "raise stack.begin_nm and field.thickness_nm"),
-            ParticleSide::Exit => (
-                "layers",
-                "give the last layer its thickness_nm, and raise field.thickness_nm",
-            ),
+            ParticleSide::Exit => {
+                ("layers", "give the last layer its thickness_nm, and raise field.thickness_nm")
+            }
         };
         let expected = format!(
             "there are {:.2} nm of vacuum for particles of up to {high} nm on this side; {what}",
@@ -104,8 +99,7 @@ fn check_room(n: usize, given: &StackParticles, table: &StackTable, field: &Fiel
 /// Refuses values that have no meaning beside others.
 fn check_keys(n: usize, given: &StackParticles) -> Checked {
     let key = |name: &str| item_key("particles", n, name);
-    let cluster =
-        matches!(given.shape, ParticleShape::Icosahedral | ParticleShape::Decahedral);
+    let cluster = matches!(given.shape, ParticleShape::Icosahedral | ParticleShape::Decahedral);
     let energies = !given.surface_energies.is_empty();
     let shape = given.shape.name();
     let refused = [

@@ -21,7 +21,7 @@ pub struct CrystalSource {
 
 impl CrystalSource {
     /// Names a crystal of the program, or a path that has not been read yet.
-    pub fn new(name: &str) -> Self {
+    pub(crate) fn new(name: &str) -> Self {
         CrystalSource { name: name.to_owned(), text: None }
     }
 
@@ -29,7 +29,7 @@ impl CrystalSource {
     ///
     /// # Errors
     /// [`Error::Invalid`] for a name that is neither a crystal nor a path, [`Error::Io`].
-    pub fn read(&mut self, folder: &Path) -> Result<()> {
+    pub(crate) fn read(&mut self, folder: &Path) -> Result<()> {
         if self.text.is_some() || crystals::text(&self.name).is_some() {
             return Ok(());
         }
@@ -50,7 +50,7 @@ impl CrystalSource {
     ///
     /// # Errors
     /// As [`CrystalSource::structure`].
-    pub fn notes(&self) -> Result<Vec<String>> {
+    pub(crate) fn notes(&self) -> Result<Vec<String>> {
         let Some(text) = &self.text else { return Ok(Vec::new()) };
         let path = Path::new(&self.name);
         let read = structure::parse_noted(Format::from_path(path)?, text.as_bytes(), path)?;
@@ -62,7 +62,7 @@ impl CrystalSource {
     /// # Errors
     /// [`Error::Parse`] with the line of the file; [`Error::Invalid`] for an unknown name, or a file
     /// that was not read.
-    pub fn structure(&self) -> Result<Structure> {
+    pub(crate) fn structure(&self) -> Result<Structure> {
         match &self.text {
             Some(text) => {
                 let path = Path::new(&self.name);

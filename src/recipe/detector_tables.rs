@@ -110,7 +110,7 @@ impl DetectorTables {
 
     /// Returns the table with the main detector alone.
     #[must_use]
-    pub fn main_alone(&self) -> Self {
+    pub(crate) fn main_alone(&self) -> Self {
         match self {
             DetectorTables::One(_) => self.clone(),
             DetectorTables::Several(tables) => {
@@ -147,7 +147,7 @@ impl<'de> Visitor<'de> for TableOrArray {
 }
 
 /// Checks the limits of names and angles.
-pub fn check_detectors(detectors: &DetectorTables) -> Checked {
+pub(crate) fn check_detectors(detectors: &DetectorTables) -> Checked {
     let tables = match detectors {
         DetectorTables::One(d) => {
             within("detector.inner_mrad", d.inner_mrad, 0.0, LARGEST_MRAD)?;
@@ -222,7 +222,8 @@ fn check_names(tables: &[NamedDetectorTable]) -> Checked {
     match names.iter().enumerate().find(|(n, name)| names[..*n].contains(name)) {
         None => Ok(()),
         Some((_, name)) => {
-            let expected = "a sector would have the name of another detector; rename one of the two";
+            let expected =
+                "a sector would have the name of another detector; rename one of the two";
             fault("detector.name", name, expected)
         }
     }

@@ -1,7 +1,7 @@
 //! Values outside their limits.
 
 use crate::error::Error;
-pub use crate::setting::Fault;
+pub(crate) use crate::setting::Fault;
 use crate::structure::elements;
 
 /// Result of a check.

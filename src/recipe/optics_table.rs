@@ -51,7 +51,7 @@ fn are_zero(values: &[f64; 2]) -> bool {
 
 impl OpticsTable {
     /// Returns the optics of the probe. Aberrations whose name is not known are left out; a checked recipe has none.
-    pub fn optics(&self) -> Optics {
+    pub(crate) fn optics(&self) -> Optics {
         let mut aberrations = Aberrations::defocus(self.defocus_angstrom);
         let one = |(name, value): (&String, &f64)| self.aberration(name, *value).ok();
         aberrations.0.extend(self.aberrations_angstrom.iter().filter_map(one));
@@ -66,7 +66,7 @@ impl OpticsTable {
     }
 
     /// Returns the electron source; `None` for a point.
-    pub fn source(&self) -> Option<Source> {
+    pub(crate) fn source(&self) -> Option<Source> {
         let (fwhm_angstrom, lorentz_share) = (self.source_fwhm_angstrom, self.source_lorentz_share);
         (fwhm_angstrom != 0.0).then_some(Source { fwhm_angstrom, lorentz_share })
     }
@@ -78,7 +78,7 @@ impl OpticsTable {
 }
 
 /// Checks the limits of the table's values.
-pub fn check_optics(optics: &OpticsTable) -> Checked {
+pub(crate) fn check_optics(optics: &OpticsTable) -> Checked {
     within("optics.energy_kv", optics.energy_kv, 10.0, 1500.0)?;
     within("optics.convergence_mrad", optics.convergence_mrad, 0.1, 100.0)?;
     within("optics.defocus_angstrom", optics.defocus_angstrom, -1e4, 1e4)?;

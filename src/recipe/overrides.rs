@@ -105,7 +105,7 @@ impl Override {
 }
 
 /// Merges `over` into `base`, table by table; its values replace the values of `base`.
-pub fn merge(base: &mut toml::Table, over: toml::Table) {
+pub(crate) fn merge(base: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (base.get_mut(&key), value) {
             (Some(toml::Value::Table(inner)), toml::Value::Table(more)) => merge(inner, more),

@@ -59,7 +59,7 @@ impl Recipe {
     ///
     /// # Errors
     /// [`Error::Invalid`] for bad syntax.
-    pub fn tiers_in(name: &str, text: &str) -> Result<Vec<Difficulty>> {
+    pub(crate) fn tiers_in(name: &str, text: &str) -> Result<Vec<Difficulty>> {
         let table: toml::Table = toml::from_str(text)
             .map_err(|e| Error::invalid(crate::Setting::Recipe, name, e.message()))?;
         let tiers = table.get("difficulty").and_then(toml::Value::as_table);
@@ -70,7 +70,7 @@ impl Recipe {
     /// Returns the tiers of a recipe in a file.
     ///
     /// # Errors
-    /// As [`Recipe::tiers_in`], and errors of reading.
+    /// [`Error::Io`], and [`Error::Parse`] for text that is no recipe.
     pub fn tiers_of_file(path: &Path) -> Result<Vec<Difficulty>> {
         if is_atoms_file(path) {
             return Ok(Vec::new());
@@ -79,10 +79,10 @@ impl Recipe {
         Recipe::tiers_in(&path.display().to_string(), &text)
     }
 
-    /// Reads a recipe from a file; for a file of atoms, makes the recipe [`Recipe::of_atoms_file`].
+    /// Reads a recipe from a file; for a file of atoms, makes a recipe of these atoms.
     ///
     /// # Errors
-    /// [`Error::Io`], or as [`Recipe::from_toml_str`] and [`Recipe::of_atoms_file`].
+    /// [`Error::Io`], or as [`Recipe::from_toml_str`], and errors of reading atoms.
     pub fn from_file(path: &Path, difficulty: Option<Difficulty>) -> Result<Self> {
         if is_atoms_file(path) {
             return match difficulty {
@@ -126,7 +126,7 @@ impl Recipe {
     ///
     /// # Errors
     /// [`Error::Invalid`] for an unknown crystal, [`Error::Io`].
-    pub fn read_crystals(&mut self, folder: &Path) -> Result<()> {
+    pub(crate) fn read_crystals(&mut self, folder: &Path) -> Result<()> {
         for crystal in self.stack.iter_mut().flat_map(StackTable::crystals_mut) {
             crystal.read(folder)?;
         }

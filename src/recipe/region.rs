@@ -19,7 +19,7 @@ impl Region {
         Region { x: [self.x[0] - nm, self.x[1] + nm], y: [self.y[0] - nm, self.y[1] + nm] }
     }
     /// Returns the region moved by (x, y) in nm.
-    pub fn moved(&self, [x, y]: [f64; 2]) -> Region {
+    pub(crate) fn moved(&self, [x, y]: [f64; 2]) -> Region {
         Region { x: self.x.map(|v| v + x), y: self.y.map(|v| v + y) }
     }
     /// Returns the part that also lies in `other`; may be empty.
@@ -28,7 +28,7 @@ impl Region {
         Region { x: cut(self.x, other.x), y: cut(self.y, other.y) }
     }
     /// Whether both regions share any place.
-    pub fn meets(&self, other: &Region) -> bool {
+    pub(crate) fn meets(&self, other: &Region) -> bool {
         let both = self.intersection(other);
         both.x[0] < both.x[1] && both.y[0] < both.y[1]
     }

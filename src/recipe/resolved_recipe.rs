@@ -98,7 +98,7 @@ pub struct Recipe {
 
 impl Recipe {
     /// Returns all crystals that the recipe names: the first, the second phase or end member, and the crystals of a stack.
-    pub fn crystals(&self) -> impl Iterator<Item = &CrystalSource> {
+    pub(crate) fn crystals(&self) -> impl Iterator<Item = &CrystalSource> {
         let second = self.domains.as_ref().map(|domains| &domains.crystal);
         let end_member = self.alloy.as_ref().map(|alloy| &alloy.end_member);
         let stack = self.stack.iter().flat_map(StackTable::crystals);

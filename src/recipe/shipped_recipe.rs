@@ -61,7 +61,7 @@ impl ShippedRecipe {
     ///
     /// # Errors
     /// Errors of [`Recipe::load`], [`Recipe::with_overrides`] and [`Recipe::with_grid`].
-    pub fn recipe(&self) -> Result<Recipe> {
+    pub(crate) fn recipe(&self) -> Result<Recipe> {
         let changes = self.changes.iter().map(RecipeChange::to_override);
         let shipped = Recipe::load(&self.material, self.tier)?;
         let mut recipe = shipped.with_overrides(&changes.collect::<Result<Vec<_>>>()?)?;

@@ -15,7 +15,7 @@ use crate::structure::{OrientedBox, Structure};
 
 /// An oriented crystal, strained and in its place.
 #[derive(Debug, Clone, PartialEq)]
-pub struct FittedCrystal {
+pub(crate) struct FittedCrystal {
     /// The crystal in a box along x, y and z, strained.
     pub structure: Structure,
     /// The cell vectors of the crystal's file, in the axes of the field and strained, as rows.
@@ -28,7 +28,7 @@ pub struct FittedCrystal {
 
 impl FittedCrystal {
     /// Takes an oriented crystal, unstrained, with the corner of a box at the origin.
-    pub fn new(oriented: &OrientedBox) -> Self {
+    pub(crate) fn new(oriented: &OrientedBox) -> Self {
         let edges = [0, 1, 2].map(|k| oriented.structure.cell[k][k]);
         // The edges of the box are known combinations of the cell vectors, and each lies along its axis.
         let indices: Mat3 = oriented.axes.map(|axis| axis.map(|i| i as f64));
@@ -42,7 +42,7 @@ impl FittedCrystal {
     }
 
     /// Returns the crystal strained along x, y and z.
-    pub fn strained(&self, strain: [f64; 3]) -> Self {
+    pub(crate) fn strained(&self, strain: [f64; 3]) -> Self {
         let stretched = |row: Vec3| std::array::from_fn(|k| row[k] * (1.0 + strain[k]));
         let mut structure = self.structure.clone();
         structure.cell = structure.cell.map(stretched);
@@ -51,12 +51,12 @@ impl FittedCrystal {
     }
 
     /// Returns the edges of the box in Angstrom.
-    pub fn edges(&self) -> Vec3 {
+    pub(crate) fn edges(&self) -> Vec3 {
         [0, 1, 2].map(|k| self.structure.cell[k][k])
     }
 
     /// Returns the unit normal of the plane with Miller indices.
-    pub fn normal(&self, miller: [i32; 3]) -> Vec3 {
+    pub(crate) fn normal(&self, miller: [i32; 3]) -> Vec3 {
         let to_fraction = inverse(&self.cell).unwrap_or([[0.0; 3]; 3]);
         let normal: Vec3 =
             std::array::from_fn(|k| (0..3).map(|i| f64::from(miller[i]) * to_fraction[k][i]).sum());
@@ -65,7 +65,7 @@ impl FittedCrystal {
     }
 
     /// Whether a shift by a vector puts every atom within `tolerance` Angstrom of an atom of its element.
-    pub fn repeats(&self, by: Vec3, tolerance: f64) -> bool {
+    pub(crate) fn repeats(&self, by: Vec3, tolerance: f64) -> bool {
         let edges = self.edges();
         let atoms = &self.structure.atoms;
         atoms.iter().all(|atom| {
@@ -80,14 +80,14 @@ impl FittedCrystal {
     }
 
     /// Returns the number of atoms per cubic Angstrom.
-    pub fn density(&self) -> f64 {
+    pub(crate) fn density(&self) -> f64 {
         self.structure.atoms.len() as f64 / self.edges().iter().product::<f64>()
     }
 }
 
 /// What a layer is made of.
 #[derive(Debug, Clone, PartialEq)]
-pub enum StackedMatter {
+pub(crate) enum StackedMatter {
     /// A crystal.
     Crystal(FittedCrystal),
     /// An amorphous layer.
@@ -96,7 +96,7 @@ pub enum StackedMatter {
 
 /// A layer in its place.
 #[derive(Debug, Clone, PartialEq)]
-pub struct StackedLayer {
+pub(crate) struct StackedLayer {
     /// Index of its phase in [`StackedCrystals::phases`].
     pub phase: usize,
     /// What it is made of.
@@ -113,7 +113,7 @@ pub struct StackedLayer {
 
 /// A precipitate in its place.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PlacedPrecipitate {
+pub(crate) struct PlacedPrecipitate {
     /// Index of its phase in [`StackedCrystals::phases`].
     pub phase: usize,
     /// Its crystal.
@@ -164,7 +164,7 @@ pub struct CheckedParticles {
 
 /// The layers of a stack and their defects, in their places.
 #[derive(Debug, Clone, PartialEq)]
-pub struct StackedCrystals {
+pub(crate) struct StackedCrystals {
     /// Names of the phases.
     pub phases: Vec<String>,
     /// The layers, by their heights.

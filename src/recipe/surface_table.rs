@@ -33,7 +33,7 @@ impl SurfaceTable {
     ///
     /// # Errors
     /// The first value outside its limits.
-    pub fn check(&self) -> Result<(), Fault> {
+    pub(crate) fn check(&self) -> Result<(), Fault> {
         check_range("entrance_nm", self.entrance_nm, [0.0, MOST_NM])?;
         check_range("exit_nm", self.exit_nm, [0.0, MOST_NM])?;
         check_range("sigma_angstrom", self.sigma_angstrom, [0.0, MOST_SIGMA_ANGSTROM])

@@ -30,7 +30,7 @@ pub enum StructureKind {
 
 impl StructureKind {
     /// Returns the name that recipes use.
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             StructureKind::Grains => "grains",
             StructureKind::Domains => "domains",
@@ -42,13 +42,13 @@ impl StructureKind {
     }
 
     /// Whether recipes of this kind name no crystal and no zone axis of their own.
-    pub fn lacks_crystal(self) -> bool {
+    pub(crate) fn lacks_crystal(self) -> bool {
         matches!(self, StructureKind::Atoms | StructureKind::Stack)
     }
 }
 
 /// Number of pixels along each axis that one pixel of a world's overview averages.
-pub const OVERVIEW_FACTOR: usize = 8;
+pub(crate) const OVERVIEW_FACTOR: usize = 8;
 
 /// Field of view, tiles and thickness.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -81,14 +81,14 @@ pub struct Boundaries {
     /// Coincidence index; the exact coincidence angle then replaces `misorientation_deg`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma: Option<u32>,
-    /// Least distance per pair of elements (`"Ti-O"`) in Angstrom. Other pairs keep [`DEFAULT_MIN_DISTANCE`] times their shortest distance
+    /// Least distance per pair of elements (`"Ti-O"`) in Angstrom. Other pairs keep 0.8 times their shortest distance
     /// in the crystal.
     #[serde(default)]
     pub min_distance_angstrom: BTreeMap<String, f64>,
 }
 
 /// Least distance at a boundary divided by the shortest in the crystal, for pairs that a recipe leaves out.
-pub const DEFAULT_MIN_DISTANCE: f64 = 0.8;
+pub(crate) const DEFAULT_MIN_DISTANCE: f64 = 0.8;
 
 /// Domains of two phases that share one lattice of atoms, side by side along x; the first phase is
 /// the recipe's crystal.
@@ -185,7 +185,7 @@ pub struct Particles {
 }
 
 /// Most clusters of vacancies.
-pub const MOST_CLUSTERS: usize = 1000;
+pub(crate) const MOST_CLUSTERS: usize = 1000;
 
 fn none(count: &usize) -> bool {
     *count == 0
@@ -239,7 +239,7 @@ pub struct PointDefect {
 }
 
 /// Largest number of kinds of point defects in `[[defects]]`.
-pub const MOST_POINT_DEFECTS: usize = 6;
+pub(crate) const MOST_POINT_DEFECTS: usize = 6;
 
 /// Thermal vibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -261,7 +261,7 @@ pub struct Dose {
 
 impl PhononTable {
     /// Returns the standard deviation of an element's displacements in Angstrom; 0 if the table leaves it out.
-    pub fn sigma_angstrom(&self, number: u8) -> f64 {
+    pub(crate) fn sigma_angstrom(&self, number: u8) -> f64 {
         self.sigma_angstrom.get(elements::symbol(number)).copied().unwrap_or(0.0)
     }
 }

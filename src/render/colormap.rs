@@ -19,7 +19,7 @@ pub enum Colormap {
 
 impl Colormap {
     /// All maps, by name.
-    pub const NAMES: [(&'static str, Colormap); 4] = [
+    pub(crate) const NAMES: [(&'static str, Colormap); 4] = [
         ("gray", Colormap::Gray),
         ("viridis", Colormap::Viridis),
         ("inferno", Colormap::Inferno),
@@ -27,12 +27,12 @@ impl Colormap {
     ];
 
     /// Its name.
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         Self::NAMES.iter().find(|(_, map)| *map == self).map_or("gray", |(name, _)| name)
     }
 
     /// The 256 colours (red, green, blue).
-    pub fn table(self) -> [[u8; 3]; 256] {
+    pub(crate) fn table(self) -> [[u8; 3]; 256] {
         std::array::from_fn(|i| {
             let gradient = match self {
                 Colormap::Gray => return [i as u8; 3],

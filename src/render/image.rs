@@ -102,7 +102,7 @@ impl<'a> Picture<'a> {
     ///
     /// # Errors
     /// As [`Picture::render`].
-    pub fn png(&self) -> Result<Vec<u8>> {
+    pub(crate) fn png(&self) -> Result<Vec<u8>> {
         self.render()?.encode().map_err(|e| {
             Error::invalid(Setting::ImageShape, e, "expected an image that PNG can hold")
         })

@@ -9,10 +9,8 @@ use super::html::{ImageOfStack, StackPage};
 use super::{Contrast, Picture};
 use crate::error::{Error, Result};
 use crate::files::atomic_write;
-use crate::io::WorldFile;
-use crate::io::image_file::ImageStack;
-use crate::io::image_series::ImageSeries;
-use crate::io::schema::OVERVIEW_FACTOR;
+use crate::io::{ImageSeries, ImageStack, WorldFile};
+use crate::recipe::OVERVIEW_FACTOR;
 
 /// Pixels that are not square by more than this are resampled.
 const SQUARE: f64 = 1.005;
@@ -128,7 +126,7 @@ pub fn write_world(world: &WorldFile, path: &Path) -> Result<()> {
 ///
 /// # Errors
 /// Errors of the file; [`Error::Invalid`] for values that cannot be drawn.
-pub fn png(image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> Result<Vec<u8>> {
+pub(crate) fn png(image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> Result<Vec<u8>> {
     GreyScale { scale_bar, ..GreyScale::default() }.png(image, step)
 }
 
@@ -148,7 +146,7 @@ pub fn resampled(image: ArrayView2<f32>, [x, y]: [f64; 2]) -> (Array2<f32>, f64)
 
 /// The image (rows = y, columns = x) with `size` columns and as many rows as before, in its own unit,
 /// by Lanczos interpolation over three pixels: near what belongs to an image sampled at its Nyquist limit.
-pub fn interpolate(image: ArrayView2<f32>, size: usize) -> Array2<f32> {
+pub(crate) fn interpolate(image: ArrayView2<f32>, size: usize) -> Array2<f32> {
     let (rows, columns) = image.dim();
     let mut out = Array2::zeros((rows, size));
     for i in 0..size {

@@ -24,6 +24,7 @@ pub use colormap::Colormap;
 pub use enlarge::Enlarge;
 pub use image::{Contrast, Picture};
 pub use overlay::{Marker, MarkerShape};
-pub use scene::{Scene, Swatch, palette};
+pub use scene::palette;
+pub(crate) use scene::{Scene, Swatch};
 #[cfg(feature = "report")]
 pub use world_picture::{Overlay, WorldPart, WorldPicture};

@@ -27,16 +27,16 @@ pub mod palette {
     /// For vacant sites.
     pub const VACANCY: [u8; 3] = [213, 94, 0];
     /// For substituted sites.
-    pub const SUBSTITUTION: [u8; 3] = [204, 121, 167];
+    pub(crate) const SUBSTITUTION: [u8; 3] = [204, 121, 167];
     /// For lines.
-    pub const LINE: [u8; 3] = [0, 0, 0];
+    pub(crate) const LINE: [u8; 3] = [0, 0, 0];
     /// Grounds of phases, from the first.
-    pub const PHASES: [[u8; 3]; 3] = [[255, 255, 255], [255, 236, 200], [214, 236, 220]];
+    pub(crate) const PHASES: [[u8; 3]; 3] = [[255, 255, 255], [255, 236, 200], [214, 236, 220]];
 }
 
 /// A sample beside a line of the legend.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Swatch {
+pub(crate) enum Swatch {
     /// Nothing; the text begins at the edge.
     None,
     /// An atom.
@@ -50,7 +50,7 @@ pub enum Swatch {
 }
 
 /// A drawing in progress. Positions are in nm from the upper left corner of the field.
-pub struct Scene {
+pub(crate) struct Scene {
     pixels_per_nm: f64,
     ground: RgbImage,
     ring_nm: f64,
@@ -70,7 +70,7 @@ struct Density {
 
 impl Scene {
     /// An empty field of `size_nm` (width, height), `longest` pixels along its longer side.
-    pub fn new(size_nm: [f64; 2], longest: usize) -> Self {
+    pub(crate) fn new(size_nm: [f64; 2], longest: usize) -> Self {
         let pixels_per_nm = longest as f64 / size_nm[0].max(size_nm[1]);
         let [width, height] =
             size_nm.map(|s| ((s * pixels_per_nm).round() as usize).clamp(1, longest));
@@ -87,7 +87,7 @@ impl Scene {
     }
 
     /// A field whose ground is a picture, drawn with so many pixels per nm.
-    pub fn over(picture: RgbImage, pixels_per_nm: f64) -> Self {
+    pub(crate) fn over(picture: RgbImage, pixels_per_nm: f64) -> Self {
         Scene {
             pixels_per_nm,
             ring_nm: RING_NM,
@@ -101,7 +101,7 @@ impl Scene {
     }
 
     /// Mixes colours into the ground. A position in nm has a colour or none.
-    pub fn wash(&mut self, color: impl Fn([f64; 2]) -> Option<[u8; 3]>, alpha: f64) {
+    pub(crate) fn wash(&mut self, color: impl Fn([f64; 2]) -> Option<[u8; 3]>, alpha: f64) {
         for y in 0..self.ground.height {
             for x in 0..self.ground.width {
                 let at = [x, y].map(|p| (p as f64 + 0.5) / self.pixels_per_nm);
@@ -113,7 +113,7 @@ impl Scene {
     }
 
     /// Tints the ground: `color` of positions in nm.
-    pub fn tint(&mut self, color: impl Fn([f64; 2]) -> [u8; 3]) {
+    pub(crate) fn tint(&mut self, color: impl Fn([f64; 2]) -> [u8; 3]) {
         let width = self.ground.width;
         for (i, pixel) in self.ground.pixels.chunks_exact_mut(3).enumerate() {
             let at = [i % width, i / width].map(|p| (p as f64 + 0.5) / self.pixels_per_nm);
@@ -122,7 +122,7 @@ impl Scene {
     }
 
     /// Adds an atom; heavier ones show more.
-    pub fn atom(&mut self, position_nm: [f64; 2], mass: f32, color: [u8; 3]) {
+    pub(crate) fn atom(&mut self, position_nm: [f64; 2], mass: f32, color: [u8; 3]) {
         let [x, y] = self.place(position_nm);
         let radius = (ATOM_NM * self.pixels_per_nm).max(0.7);
         let range = |at: f64, size: usize| {
@@ -144,7 +144,13 @@ impl Scene {
     }
 
     /// Marks `marked` of the sites of a column.
-    pub fn mark(&mut self, position_nm: [f64; 2], marked: usize, sites: usize, color: [u8; 3]) {
+    pub(crate) fn mark(
+        &mut self,
+        position_nm: [f64; 2],
+        marked: usize,
+        sites: usize,
+        color: [u8; 3],
+    ) {
         let at = self.place(position_nm);
         if self.pixels_per_nm >= RINGS_FROM {
             let share = marked as f64 / sites.max(1) as f64;
@@ -166,18 +172,18 @@ impl Scene {
 
     /// Makes the rings about columns smaller where there are so many per square nm that they would
     /// cross each other.
-    pub fn fit_rings(&mut self, columns_per_nm2: f64) {
+    pub(crate) fn fit_rings(&mut self, columns_per_nm2: f64) {
         self.ring_nm = RING_NM.min(0.42 / columns_per_nm2.max(1e-9).sqrt());
     }
 
     /// Draws a line through points in nm.
-    pub fn line(&mut self, points_nm: &[[f64; 2]], color: [u8; 3]) {
+    pub(crate) fn line(&mut self, points_nm: &[[f64; 2]], color: [u8; 3]) {
         let points = points_nm.iter().map(|p| self.place(*p)).collect();
         self.strokes.push((points, color));
     }
 
     /// Draws a circle.
-    pub fn circle(&mut self, centre_nm: [f64; 2], radius_nm: f64, color: [u8; 3]) {
+    pub(crate) fn circle(&mut self, centre_nm: [f64; 2], radius_nm: f64, color: [u8; 3]) {
         let point = |i: usize| {
             let angle = std::f64::consts::TAU * i as f64 / 96.0;
             [centre_nm[0] + radius_nm * angle.cos(), centre_nm[1] + radius_nm * angle.sin()]
@@ -186,12 +192,12 @@ impl Scene {
     }
 
     /// Whether marked columns are rings, and not a tint.
-    pub fn has_rings(&self) -> bool {
+    pub(crate) fn has_rings(&self) -> bool {
         self.pixels_per_nm >= RINGS_FROM
     }
 
     /// Adds a line to the legend. Characters that the font lacks are left out.
-    pub fn legend(&mut self, swatch: Swatch, text: impl Into<String>) {
+    pub(crate) fn legend(&mut self, swatch: Swatch, text: impl Into<String>) {
         let text = text.into();
         // Overlays may draw the same lines.
         if !self.legend.iter().any(|(_, known)| *known == text) {
@@ -200,7 +206,7 @@ impl Scene {
     }
 
     /// The picture, with a scale bar.
-    pub fn render(mut self) -> RgbImage {
+    pub(crate) fn render(mut self) -> RgbImage {
         self.paint_atoms();
         self.paint_densities();
         let mut image = std::mem::replace(&mut self.ground, RgbImage::filled(1, 1, WHITE));

@@ -42,7 +42,7 @@ pub enum SigmaChoice {
 /// `"table"`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FromTable {
-    /// See [`structure::tabulated_sigma_angstrom`].
+    /// Of the tables of [`crate::structure`].
     #[serde(rename = "table")]
     FromTable,
 }
@@ -382,7 +382,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("si.xyz");
         let AtomsSource::Given(structure) = silicon() else { unreachable!() };
-        structure::write_extxyz(&path, &structure).unwrap();
+        let mut text = "2\nLattice=\"5.431 0 0 0 5.431 0 0 0 5.431\" pbc=\"T T T\"\n".to_owned();
+        for [x, y, z] in structure.atoms.iter().map(|atom| atom.position) {
+            text += &format!("Si {x} {y} {z}\n");
+        }
+        std::fs::write(&path, text).unwrap();
         assert_eq!(request.prepare(&AtomsSource::File(path)).unwrap(), given);
     }
 

@@ -12,7 +12,7 @@ use crate::error::Result;
 use crate::progress::Progress;
 
 /// Largest rms error in per cent of the mean image, if the request gives neither an engine nor an accuracy.
-pub const DEFAULT_ACCURACY_PERCENT: f64 = 0.5;
+pub(crate) const DEFAULT_ACCURACY_PERCENT: f64 = 0.5;
 /// The exact engine is used without a measurement of errors if all images and configurations take fewer operations than this (a second or
 /// two), or fewer probes than `FEW_PROBES`. A round of the measurement would take more than a tenth of that.
 const LITTLE_FLOPS: f64 = 3e10;
@@ -27,7 +27,7 @@ type Chosen = (Vec<Plan>, Vec<AccuracyFound>);
 
 impl NumericsRequest {
     /// Whether the request leaves the engine to the program. A probe with norm 1 in the cell is for the exact engine.
-    pub fn leaves_engine_open(&self) -> bool {
+    pub(crate) fn leaves_engine_open(&self) -> bool {
         let chosen = self.engine.is_some()
             || self.window_angstrom.is_some()
             || self.interpolation.is_some()
@@ -38,7 +38,7 @@ impl NumericsRequest {
 
 impl SimulationJob {
     /// The largest rms error of the images against the exact engine, in per cent of the mean image; `None` if the request names an engine.
-    pub fn accuracy_asked(&self) -> Option<f64> {
+    pub(crate) fn accuracy_asked(&self) -> Option<f64> {
         let request = self.request();
         if request.plane_wave || request.patterns.is_some() {
             return None;

@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::imaging::Noise;
 
 /// Unit of images of scans.
-pub const FRACTION_OF_BEAM: &str = "fraction of the incident beam";
+pub(crate) const FRACTION_OF_BEAM: &str = "fraction of the incident beam";
 /// Unit of images of a plane wave.
 pub(super) const OF_INCIDENT_WAVE: &str = "intensity; that of the incident wave is 1";
 

@@ -12,7 +12,7 @@ use super::request::SimulationRequest;
 use super::time_estimate::threads;
 use crate::engine::{
     AccuracyFound, Cost, Images, Plan, ProbeRaster, Scan, ScanPart, SourceBlur, check_memory,
-    mean_diffraction, simulate_part, simulate_places, simulate_series_from,
+    mean_diffraction, simulate_part, simulate_places, simulate_series,
 };
 use crate::error::{Error, Result};
 use crate::files::Shard;
@@ -97,7 +97,7 @@ impl SimulationJob {
     }
 
     /// The defocus that is part of an image's name; only images of a series have it.
-    pub fn series_defocus(&self, plan: usize) -> Option<f64> {
+    pub(crate) fn series_defocus(&self, plan: usize) -> Option<f64> {
         let defocus = &self.request.microscope.defocus_angstrom;
         defocus.get(plan).copied().filter(|_| defocus.len() > 1)
     }
@@ -234,7 +234,7 @@ impl SimulationJob {
         self.needs_images()?;
         let (plans, blur) = (self.chosen_plans(progress)?, self.source_blur()?);
         let wide = blur.as_ref().map_or(&self.scan, |blur| blur.scan());
-        let series = simulate_series_from(&plans, &self.specimen.frames(), wide, parts, progress)?;
+        let series = simulate_series(&plans, &self.specimen.frames(), wide, parts, progress)?;
         let mut made = Vec::new();
         for (p, (plan, found)) in plans.iter().zip(&series).enumerate() {
             for (d, detector) in plan.settings.detectors.iter().enumerate() {

@@ -58,7 +58,7 @@ impl Default for MicroscopeRequest {
 
 impl MicroscopeRequest {
     /// The lens, the source and the detectors of a recipe.
-    pub fn of_recipe(recipe: &Recipe) -> Self {
+    pub(crate) fn of_recipe(recipe: &Recipe) -> Self {
         let optics = recipe.optics.optics();
         let source = recipe.optics.source();
         // The request holds the defocus separately, which a recipe may also give as C10.
@@ -80,7 +80,7 @@ impl MicroscopeRequest {
     }
 
     /// The source; `None` for a point.
-    pub fn source(&self) -> Option<Source> {
+    pub(crate) fn source(&self) -> Option<Source> {
         let lorentz_share = self.source_lorentz_share;
         self.source_size_angstrom.map(|fwhm_angstrom| Source { fwhm_angstrom, lorentz_share })
     }
@@ -119,12 +119,12 @@ impl MicroscopeRequest {
     }
 
     /// Warnings about values that are possible, but likely slips.
-    pub fn warnings(&self) -> Vec<Warning> {
+    pub(crate) fn warnings(&self) -> Vec<Warning> {
         self.aberrations.iter().filter_map(plausibility::check_azimuth).collect()
     }
 
     /// The optics at one value of the defocus, in Angstrom.
-    pub fn optics(&self, defocus_angstrom: f64) -> Optics {
+    pub(crate) fn optics(&self, defocus_angstrom: f64) -> Optics {
         let mut aberrations = Aberrations::defocus(defocus_angstrom);
         aberrations.0.extend(self.aberrations.iter().copied());
         Optics {

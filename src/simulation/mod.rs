@@ -42,18 +42,16 @@ mod source_patterns;
 mod time_estimate;
 
 pub use atoms::{AtomsSource, FromFile, FromTable, PreparedSpecimen, SigmaChoice, SpecimenRequest};
-pub use engine_choice::DEFAULT_ACCURACY_PERCENT;
-pub use images::{FRACTION_OF_BEAM, SimulatedImage, noisy_name};
+pub use images::{SimulatedImage, noisy_name};
 pub use job::SimulationJob;
 pub use microscope::MicroscopeRequest;
-pub use numerics_request::{Engine, NumericsRequest, WINDOW_ANGSTROM, algorithm};
-pub use pattern_job::{PatternBand, PatternValues, PatternsRequest, pattern_window_angstrom};
+pub use numerics_request::{Engine, NumericsRequest};
+pub(crate) use pattern_job::pattern_window_angstrom;
+pub use pattern_job::{PatternBand, PatternValues, PatternsRequest};
 pub use plan_report::{GridReport, PlanReport, SliceReport};
 pub use plane_wave::PlaneWaveImages;
-pub use plausibility::{
-    Warning, check_aberrations, check_azimuth, check_detector, check_energy, check_hdf5_name,
-    check_semiangle,
-};
+pub use plausibility::{Warning, check_detector, check_energy, check_hdf5_name, check_semiangle};
+
 pub use request::SimulationRequest;
 pub use scan::{LengthUnit, ScanRequest};
 pub use time_estimate::{seconds, threads};

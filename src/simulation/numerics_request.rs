@@ -14,7 +14,7 @@ use crate::potential::slices::Slicing;
 use crate::setting::Setting;
 
 /// Default width in Angstrom of the window that follows each probe.
-pub const WINDOW_ANGSTROM: f64 = 11.7;
+pub(crate) const WINDOW_ANGSTROM: f64 = 11.7;
 
 /// How probes are propagated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -42,8 +42,8 @@ impl Engine {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NumericsRequest {
-    /// The engine. `None`: the engine that a window or an interpolation implies, or else the fastest whose images have at most the error
-    /// [`DEFAULT_ACCURACY_PERCENT`](super::DEFAULT_ACCURACY_PERCENT).
+    /// The engine. `None`: the engine that a window or an interpolation implies, or else the fastest whose images have at most an
+    /// error of 0.5 %.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub engine: Option<Engine>,
     /// Use the narrowest window whose rms error is at most this share of the mean image in per cent, or the exact engine.
@@ -122,7 +122,7 @@ impl NumericsRequest {
     ///
     /// # Errors
     /// [`Error::Invalid`] for an accuracy, a window or an interpolation that belongs to another engine.
-    pub fn algorithm(&self) -> Result<Algorithm> {
+    pub(crate) fn algorithm(&self) -> Result<Algorithm> {
         if let Some(accuracy) = self.accuracy_percent {
             if !matches!(self.engine, None | Some(Engine::Window)) {
                 let expected =
@@ -202,7 +202,7 @@ impl NumericsRequest {
 ///
 /// # Errors
 /// [`Error::Invalid`] for a window or an interpolation that belongs to another engine.
-pub fn algorithm(
+pub(crate) fn algorithm(
     named: Option<Engine>,
     window_angstrom: Option<f64>,
     interpolation: Option<[usize; 2]>,

@@ -87,7 +87,7 @@ impl PatternsRequest {
     ///
     /// # Errors
     /// [`Error::Invalid`] for values that no detector has, and for a transfer function of rings.
-    pub fn detector(&self) -> Result<PatternDetector> {
+    pub(crate) fn detector(&self) -> Result<PatternDetector> {
         if let Some(mtf) = &self.mtf {
             mtf.check()?;
         }
@@ -133,7 +133,10 @@ pub(super) fn numerics(
 }
 
 /// Width in Angstrom of a window that contains the probe throughout a specimen of this thickness, for patterns within 0.1 % of their maximum.
-pub fn pattern_window_angstrom(microscope: &MicroscopeRequest, thickness_angstrom: f64) -> f64 {
+pub(crate) fn pattern_window_angstrom(
+    microscope: &MicroscopeRequest,
+    thickness_angstrom: f64,
+) -> f64 {
     let semiangle = 1e-3 * microscope.semiangle_mrad;
     let defocus = microscope.defocus_angstrom.iter().map(|d| d.abs()).fold(0.0, f64::max);
     let reach = semiangle * (defocus + thickness_angstrom);

@@ -109,7 +109,7 @@ impl PlanReport {
     }
 
     /// Adds the time of other simulations.
-    pub fn add_time(&mut self, [least, most]: [f64; 2]) {
+    pub(crate) fn add_time(&mut self, [least, most]: [f64; 2]) {
         self.estimated_range_s[0] += least;
         self.estimated_range_s[1] += most;
         self.estimated_time_s = middle(self.estimated_range_s);

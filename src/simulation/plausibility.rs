@@ -86,7 +86,7 @@ pub fn check_energy(energy_kev: f64) -> Result<()> {
 }
 
 /// A warning about an azimuth that looks like degrees: it is more than a turn.
-pub fn check_azimuth(aberration: &Aberration) -> Option<Warning> {
+pub(crate) fn check_azimuth(aberration: &Aberration) -> Option<Warning> {
     let Aberration { order, symmetry, azimuth_rad, .. } = *aberration;
     let turns = azimuth_rad.abs() > std::f64::consts::TAU + 1e-3;
     (turns && symmetry > 0).then(|| {
@@ -103,7 +103,7 @@ pub fn check_azimuth(aberration: &Aberration) -> Option<Warning> {
 ///
 /// # Errors
 /// [`Error::Invalid`] naming the coefficient.
-pub fn check_aberrations(
+pub(crate) fn check_aberrations(
     defocus_angstrom: f64,
     series: bool,
     aberrations: &[Aberration],

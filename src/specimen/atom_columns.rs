@@ -34,7 +34,7 @@ impl Sites {
     }
 
     /// Adds a column and its sites.
-    pub fn push_column(
+    pub(crate) fn push_column(
         &mut self,
         id: u64,
         position_nm: [f64; 2],

@@ -41,7 +41,7 @@ const EDGE_NM: f64 = 1e-6;
 const ORDER_STEPS: f64 = 4.0;
 
 /// A crystal in domains of two phases.
-pub struct Domains {
+pub(crate) struct Domains {
     lattice: Coherent<OrderParameter>,
     /// Displacement of each site in the second phase, in nm.
     shifts: Vec<[f64; 3]>,
@@ -59,7 +59,7 @@ impl Domains {
     ///
     /// # Errors
     /// [`Error::Invalid`] for phases that do not match, or a vacancy rate without room.
-    pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
+    pub(crate) fn new(recipe: &CheckedRecipe) -> Result<Self> {
         let Some(domains) = &recipe.domains else {
             return Err(Error::invalid(
                 crate::Setting::Domains,

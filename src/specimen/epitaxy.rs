@@ -35,7 +35,7 @@ const GUEST_DRAW: u32 = 2;
 const FILLINGS: usize = 12;
 
 /// An alloy grown along +x, coherent with its substrate.
-pub struct Epitaxy {
+pub(crate) struct Epitaxy {
     lattice: Coherent<TabulatedStretch>,
     composition: Composition,
     host: u8,
@@ -53,7 +53,7 @@ impl Epitaxy {
     ///
     /// # Errors
     /// [`Error::Invalid`] for an end member of another structure, or wells that cannot hold the rate.
-    pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
+    pub(crate) fn new(recipe: &CheckedRecipe) -> Result<Self> {
         let Some(alloy) = &recipe.alloy else {
             return Err(Error::invalid(
                 crate::Setting::Alloy,

@@ -4,31 +4,31 @@
 //! the result does not depend on how the field is divided into regions.
 
 pub(crate) mod alloy_spacing;
-pub mod atom_columns;
+pub(crate) mod atom_columns;
 pub(crate) mod beam_rows;
-pub mod census;
+pub(crate) mod census;
 pub(crate) mod coherent;
 pub(crate) mod column_grid;
 pub(crate) mod column_index;
 pub(crate) mod composition;
-pub mod damaged;
+mod damaged;
 pub(crate) mod defects;
-pub mod domains;
-pub mod epitaxy;
+mod domains;
+mod epitaxy;
 mod factory;
-pub mod grains;
-pub mod own_atoms;
+mod grains;
+mod own_atoms;
 pub(crate) mod particle_orientation;
-pub mod particles;
-pub mod relax;
+mod particles;
+mod relax;
 pub(crate) mod roughness;
 pub(crate) mod scattered_circles;
-pub mod sites;
-pub mod specimen_trait;
+pub(crate) mod sites;
+pub(crate) mod specimen_trait;
 pub(crate) mod stack;
-pub mod stripes;
-pub mod surface_layers;
-pub mod units;
+pub(crate) mod stripes;
+pub(crate) mod surface_layers;
+pub(crate) mod units;
 pub(crate) mod wave;
 
 pub use atom_columns::{AtomColumn, Sites};
@@ -37,9 +37,16 @@ pub use damaged::{damaged_specimen::DamagedSpecimen, dose_map::DoseMap};
 #[cfg(all(test, feature = "hdf5"))]
 pub(crate) use factory::LAID_OUT;
 pub use factory::specimen;
+pub use particles::ROW_TILT_DEG;
 pub use sites::{DISPLACED_NM, SiteKind, SpecimenSite};
+pub(crate) use specimen_trait::outlines_in;
 pub use specimen_trait::{
     Boundary, BoundaryKind, DislocationTruth, ExpectedSites, LayerTruth, ParticleOutline,
-    ParticleTruth, Specimen, SpecimenFacts, SpecimenLayout, StackTruth, ThinFilm, outlines_in,
+    ParticleTruth, Specimen, SpecimenFacts, SpecimenLayout, StackTruth, ThinFilm,
 };
+pub use stripes::{Stripe, for_each_stripe};
+pub use units::library_cell::{LibraryCell, LibrarySite, LibraryUnit};
+pub use units::occupation::DefectKind;
+pub use units::unit_tag::{PatternIndex, TurnedFamily, UnitFamily, UnitTag};
+
 pub use surface_layers::{CarbonLayer, SurfaceLayers};

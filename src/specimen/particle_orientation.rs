@@ -14,7 +14,12 @@ pub fn any_orientation(seed: u64, index: u64) -> Rotation {
 }
 
 /// Draws a zone axis within `max_tilt_deg` of the beam and any rotation about it; from 90 degrees on, any orientation.
-pub fn near_zone_axis(morphology: Morphology, max_tilt_deg: f64, seed: u64, index: u64) -> Rotation {
+pub fn near_zone_axis(
+    morphology: Morphology,
+    max_tilt_deg: f64,
+    seed: u64,
+    index: u64,
+) -> Rotation {
     let [a, b, c, tilted] = words(seed, Purpose::Particle, ORIENTATION, index).map(unit);
     if max_tilt_deg >= 90.0 {
         return Rotation::uniform([a, b, c]);
@@ -32,7 +37,13 @@ fn tilt([c, tilted]: [f64; 2], max_tilt_deg: f64) -> Rotation {
 }
 
 /// Draws the rotation of a particle whose upright rotation is known: any rotation about the beam if it is `turned`, and a tilt.
-pub fn tilted(upright: Rotation, turned: bool, max_tilt_deg: f64, seed: u64, index: u64) -> Rotation {
+pub fn tilted(
+    upright: Rotation,
+    turned: bool,
+    max_tilt_deg: f64,
+    seed: u64,
+    index: u64,
+) -> Rotation {
     let [_, b, c, share] = words(seed, Purpose::Particle, ORIENTATION, index).map(unit);
     let about = if turned { Rotation::about([0.0, 0.0, 1.0], turn(b)) } else { Rotation::NONE };
     let tilt = if max_tilt_deg > 0.0 { tilt([c, share], max_tilt_deg) } else { Rotation::NONE };

@@ -16,7 +16,7 @@ use crate::structure::{PAIR_CUTOFF_ANGSTROM, elements, shortest_distances};
 const SHELL: f64 = 1.15;
 
 /// A specimen whose atoms move away from the vacancies beside them.
-pub struct Relaxed {
+pub(crate) struct Relaxed {
     inner: Box<dyn Specimen>,
     distance_nm: f64,
     reach: Reach,
@@ -27,7 +27,10 @@ impl Relaxed {
     ///
     /// # Errors
     /// As [`CheckedRecipe::structure`].
-    pub fn of(inner: Box<dyn Specimen>, recipe: &CheckedRecipe) -> Result<Box<dyn Specimen>> {
+    pub(crate) fn of(
+        inner: Box<dyn Specimen>,
+        recipe: &CheckedRecipe,
+    ) -> Result<Box<dyn Specimen>> {
         let vacancies = recipe.vacancies.as_ref().filter(|v| v.relaxation_angstrom > 0.0);
         let Some(vacancies) = vacancies else { return Ok(inner) };
         let element = elements::atomic_number(&vacancies.element)?;
@@ -65,11 +68,11 @@ impl Specimen for Relaxed {
 
 /// The reach of a vacancy of one element: the distance up to which atoms of each other element move.
 #[derive(Debug, Clone, Default)]
-pub struct Reach(BTreeMap<u8, f64>);
+pub(crate) struct Reach(BTreeMap<u8, f64>);
 
 impl Reach {
     /// Computes the reach for vacancies of `element`; `shortest` are the shortest distances in the crystal in Angstrom.
-    pub fn new(element: u8, shortest: &BTreeMap<(u8, u8), f64>) -> Self {
+    pub(crate) fn new(element: u8, shortest: &BTreeMap<(u8, u8), f64>) -> Self {
         let of = |(&(a, b), d): (&(u8, u8), &f64)| {
             let other = if a == element { b } else { a };
             ((a == element || b == element) && other != element).then_some((other, 0.1 * SHELL * d))
@@ -81,13 +84,13 @@ impl Reach {
         self.0.get(&number).copied().unwrap_or(0.0)
     }
     /// Returns the greatest reach, in nm.
-    pub fn greatest_nm(&self) -> f64 {
+    pub(crate) fn greatest_nm(&self) -> f64 {
         self.0.values().copied().fold(0.0, f64::max)
     }
 }
 
 /// Moves every site within `reach` of a vacancy by `distance_nm` away from it. The result does not depend on the order of `vacant`.
-pub fn outward(
+pub(crate) fn outward(
     sites: &mut [SpecimenSite],
     vacant: &[SpecimenSite],
     distance_nm: f64,

@@ -121,7 +121,7 @@ impl ParticleOutline {
 }
 
 /// Returns the particles of a specimen whose centre lies in a region.
-pub fn outlines_in(specimen: &dyn Specimen, region: &Region) -> Vec<ParticleOutline> {
+pub(crate) fn outlines_in(specimen: &dyn Specimen, region: &Region) -> Vec<ParticleOutline> {
     let all = specimen.facts().particle_outlines.iter();
     all.filter(|p| region.contains(p.centre_nm)).cloned().collect()
 }
@@ -147,7 +147,7 @@ impl ThinFilm {
 
     /// Returns the height in Angstrom of the slice that an atom of the film at `z_angstrom` belongs to: the middle of the slice. The film
     /// is divided into equal slices of at most `thickness_angstrom`.
-    pub fn slice_height_angstrom(&self, z_angstrom: f64, thickness_angstrom: f64) -> f64 {
+    pub(crate) fn slice_height_angstrom(&self, z_angstrom: f64, thickness_angstrom: f64) -> f64 {
         let [start, end] = self.depth_nm.map(|z| 10.0 * z);
         let slices = ((end - start) / thickness_angstrom).ceil().max(1.0);
         let each = (end - start) / slices;
@@ -166,7 +166,7 @@ pub struct ExpectedSites {
 
 impl ExpectedSites {
     /// Returns the number of sites in a region; particles count where their centre lies.
-    pub fn within(&self, region: &Region) -> u64 {
+    pub(crate) fn within(&self, region: &Region) -> u64 {
         let area = (region.x[1] - region.x[0]) * (region.y[1] - region.y[0]);
         let inside = self.particles.iter().filter(|(centre, _)| region.contains(*centre));
         (self.per_nm2 * area).round() as u64 + inside.map(|(_, sites)| sites).sum::<u64>()
@@ -211,8 +211,8 @@ pub trait SpecimenLayout: Send + Sync {
 pub trait Specimen: Send + Sync {
     /// Returns the layout; a specimen that changes another specimen returns the layout of that one.
     fn layout(&self) -> &dyn SpecimenLayout;
-    /// Returns the columns whose position lies in a region. The specimen ends [`BEYOND_FIELD_NM`](crate::recipe::BEYOND_FIELD_NM) outside
-    /// the field. A region has the same sites in every query.
+    /// Returns the columns whose position lies in a region. The specimen ends 12 nm (`BEYOND_FIELD_NM`) outside the
+    /// field. A region has the same sites in every query.
     fn query(&self, region: &Region) -> Sites;
     /// Returns the columns of [`Specimen::query`] in the same order, without their sites. Faster where units describe the columns.
     fn columns(&self, region: &Region) -> Vec<AtomColumn>;

@@ -97,7 +97,7 @@ impl SurfaceLayers {
 
 impl CarbonLayer {
     /// Estimates the number of atoms in an area.
-    pub fn estimated_atoms(&self, area: &Region) -> u64 {
+    pub(crate) fn estimated_atoms(&self, area: &Region) -> u64 {
         let [width, height] = [area.x, area.y].map(|[low, high]| high - low);
         let [begin, end] = self.depth_angstrom;
         (atoms_per_nm2(0.1 * (end - begin)) * width * height).round() as u64

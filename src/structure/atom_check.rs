@@ -12,7 +12,7 @@ impl Structure {
     ///
     /// # Errors
     /// [`Error::Invalid`] with the number of the atom, from 0.
-    pub fn checked(self) -> Result<Self> {
+    pub(crate) fn checked(self) -> Result<Self> {
         let fault = |value: String, expected: String| {
             Err(Error::invalid(Setting::StructureFile, value, expected))
         };

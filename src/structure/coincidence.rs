@@ -16,7 +16,7 @@ const SAME_LENGTH: f64 = 1e-4;
 
 /// A lattice in projection along the beam, described by its rectangular cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PlaneLattice {
+pub(crate) enum PlaneLattice {
     /// a x a.
     Square,
     /// a x sqrt(3) a, centred.
@@ -30,7 +30,7 @@ impl PlaneLattice {
     ///
     /// # Errors
     /// A sentence for other lattices.
-    pub fn of([a, b, _]: [f64; 3]) -> Result<Self, String> {
+    pub(crate) fn of([a, b, _]: [f64; 3]) -> Result<Self, String> {
         let ratio = |expected: f64| (b / a / expected - 1.0).abs() < SAME_LENGTH;
         let root = 3f64.sqrt();
         let known = [
@@ -72,7 +72,7 @@ impl PlaneLattice {
 
 /// Half of an exact coincidence angle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct HalfAngle {
+pub(crate) struct HalfAngle {
     /// The lattice.
     pub lattice: PlaneLattice,
     /// Index of the boundary's direction along the second edge of the cell.
@@ -83,16 +83,16 @@ pub struct HalfAngle {
 
 impl HalfAngle {
     /// Returns half the misorientation in radians.
-    pub fn radians(self) -> f64 {
+    pub(crate) fn radians(self) -> f64 {
         let [across, along] = self.vector();
         libm::atan2(across, along)
     }
     /// Returns the distance between neighbouring lattice lines parallel to the boundary, in units of the cell's first edge.
-    pub fn line_spacing(self) -> f64 {
+    pub(crate) fn line_spacing(self) -> f64 {
         self.lattice.area() / self.period()
     }
     /// Returns the period along the boundary, in units of the cell's first edge.
-    pub fn period(self) -> f64 {
+    pub(crate) fn period(self) -> f64 {
         let [across, along] = self.vector();
         let centred = self.lattice != PlaneLattice::Square && self.h % 2 == self.k % 2;
         (across * across + along * along).sqrt() * if centred { 0.5 } else { 1.0 }
@@ -130,7 +130,7 @@ impl HalfAngle {
 ///
 /// # Errors
 /// As [`PlaneLattice::of`] and [`half_angle`].
-pub fn half_angle_in(cell: [f64; 3], sigma: u32, degrees: f64) -> Result<HalfAngle, String> {
+pub(crate) fn half_angle_in(cell: [f64; 3], sigma: u32, degrees: f64) -> Result<HalfAngle, String> {
     half_angle(PlaneLattice::of(cell)?, sigma, degrees)
 }
 
@@ -138,7 +138,11 @@ pub fn half_angle_in(cell: [f64; 3], sigma: u32, degrees: f64) -> Result<HalfAng
 ///
 /// # Errors
 /// A sentence with the angles of this `sigma`.
-pub fn half_angle(lattice: PlaneLattice, sigma: u32, degrees: f64) -> Result<HalfAngle, String> {
+pub(crate) fn half_angle(
+    lattice: PlaneLattice,
+    sigma: u32,
+    degrees: f64,
+) -> Result<HalfAngle, String> {
     let of_sigma: Vec<HalfAngle> = (1..=MAX_INDEX)
         .flat_map(|h| (1..=h).map(move |k| HalfAngle { lattice, h, k }))
         .filter(|p| p.index() == Some(sigma))

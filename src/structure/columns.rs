@@ -8,13 +8,13 @@ const SAME_COLUMN_ANGSTROM: f64 = 0.02;
 /// Largest difference of fractions of the cell that count as equal.
 const SAME_FRACTION: f64 = 1e-3;
 /// Number of sites of a cell that the keys of specimens can distinguish.
-pub const MOST_SITES: usize = 1 << 10;
+pub(crate) const MOST_SITES: usize = 1 << 10;
 /// Number of chains of one column that `ColumnOutcome` of boundaries can distinguish.
 const MOST_CHAINS: usize = 64;
 
 /// A row of equal atoms along the beam, one per unit cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Chain {
+pub(crate) struct Chain {
     /// Height in the unit cell, as a fraction of the cell's edge.
     pub z: f64,
     /// Atomic number.
@@ -25,7 +25,7 @@ pub struct Chain {
 
 /// A column of the unit cell: the chains that share a projected position.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ColumnKind {
+pub(crate) struct ColumnKind {
     /// Position in the cell, as fractions.
     pub xy: [f64; 2],
     /// The chains, by ascending height.
@@ -34,7 +34,7 @@ pub struct ColumnKind {
 
 /// A crystal as columns.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ColumnCrystal {
+pub(crate) struct ColumnCrystal {
     /// Edges of the rectangular cell along x, y and the beam in Angstrom.
     pub cell: [f64; 3],
     /// Columns of one cell.
@@ -47,7 +47,7 @@ impl ColumnCrystal {
     ///
     /// # Errors
     /// [`Error::Invalid`] for another cell, partly occupied sites, or too many of them.
-    pub fn new(structure: &Structure) -> Result<Self> {
+    pub(crate) fn new(structure: &Structure) -> Result<Self> {
         let cell = structure.orthogonal_box()?;
         if structure.atoms.iter().any(|a| a.occupancy < 1.0) {
             let expected = "specimens are built from fully occupied sites; give one element per \
@@ -92,23 +92,23 @@ impl ColumnCrystal {
     }
 
     /// Returns all chains.
-    pub fn chains(&self) -> impl Iterator<Item = &Chain> {
+    pub(crate) fn chains(&self) -> impl Iterator<Item = &Chain> {
         self.columns.iter().flat_map(|c| &c.chains)
     }
 
     /// Returns the lightest element, if there are several: its atoms are removed first where others need room.
-    pub fn lightest(&self) -> Option<u8> {
+    pub(crate) fn lightest(&self) -> Option<u8> {
         let least = self.chains().map(|c| c.number).min();
         least.filter(|_| self.chains().map(|c| c.number).max() != least)
     }
 
     /// Returns the number of cells along the beam in `thickness_nm`, at least one.
-    pub fn cells_along_beam(&self, thickness_nm: f64) -> usize {
+    pub(crate) fn cells_along_beam(&self, thickness_nm: f64) -> usize {
         ((thickness_nm * 10.0 / self.cell[2]).round() as usize).max(1)
     }
 
     /// Whether the mirror image in a plane perpendicular to x is the same crystal, apart from a shift.
-    pub fn has_mirror_x(&self) -> bool {
+    pub(crate) fn has_mirror_x(&self) -> bool {
         let atoms: Vec<([f64; 3], u8)> = self
             .columns
             .iter()

@@ -27,12 +27,12 @@ const LIBRARY: [(&str, &str); 12] = library![
 ];
 
 /// Returns the names of the crystals: `srtio3`, `batio3_cubic` ...
-pub fn names() -> impl Iterator<Item = &'static str> + Clone {
+pub(crate) fn names() -> impl Iterator<Item = &'static str> + Clone {
     LIBRARY.iter().map(|(name, _)| *name)
 }
 
 /// Returns the CIF text of a crystal; `None` for an unknown name.
-pub fn text(name: &str) -> Option<&'static str> {
+pub(crate) fn text(name: &str) -> Option<&'static str> {
     LIBRARY.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 

@@ -5,9 +5,9 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 
 /// Room temperature in K.
-pub const ROOM_TEMPERATURE_K: f64 = 293.0;
+pub(crate) const ROOM_TEMPERATURE_K: f64 = 293.0;
 /// Temperatures in K for which the table is used: below, zero-point motion bends the curves; above, anharmonic motion does.
-pub const TABLE_TEMPERATURES_K: [f64; 2] = [200.0, 400.0];
+pub(crate) const TABLE_TEMPERATURES_K: [f64; 2] = [200.0, 400.0];
 
 /// Temperatures of the two columns in K.
 const COLUMNS_K: [f64; 2] = [210.0, 280.0];
@@ -59,7 +59,7 @@ const TABLE: [(&str, [f64; 2]); 38] = [
 ///
 /// # Errors
 /// [`Error::Invalid`] for elements that the table lacks, and temperatures outside [`TABLE_TEMPERATURES_K`].
-pub fn tabulated_sigma_angstrom(number: u8, temperature_k: f64) -> Result<f64> {
+pub(crate) fn tabulated_sigma_angstrom(number: u8, temperature_k: f64) -> Result<f64> {
     let [least, most] = TABLE_TEMPERATURES_K;
     if !(least..=most).contains(&temperature_k) {
         let expected = format!("expected {least} to {most} K");

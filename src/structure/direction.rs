@@ -28,7 +28,7 @@ pub fn parse(text: &str) -> Result<[i32; 3], String> {
 ///
 /// # Errors
 /// A sentence that describes how vectors are written.
-pub fn parse_vector(text: &str) -> Result<[f64; 3], String> {
+pub(crate) fn parse_vector(text: &str) -> Result<[f64; 3], String> {
     let expected = "expected a lattice vector such as \"[100]\", \"1/2[110]\" or \"1/6[11-2]\"";
     let open = text.find('[').ok_or(expected)?;
     let factor = match text[..open].trim() {
@@ -62,7 +62,7 @@ fn factor(text: &str) -> Option<f64> {
 ///
 /// # Errors
 /// A sentence that describes how planes are written.
-pub fn parse_plane(text: &str) -> Result<[i32; 3], String> {
+pub(crate) fn parse_plane(text: &str) -> Result<[i32; 3], String> {
     let expected = "expected a lattice plane such as \"(001)\" or \"(1-11)\"";
     let inner = text.trim().strip_prefix('(').and_then(|t| t.strip_suffix(')'));
     match indices(inner.ok_or(expected)?).ok_or(expected)?[..] {

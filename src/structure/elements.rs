@@ -1,6 +1,6 @@
 //! Element symbols.
 
-pub use crate::constants::MAX_ATOMIC_NUMBER;
+pub(crate) use crate::constants::MAX_ATOMIC_NUMBER;
 use crate::error::{Error, Result};
 
 const SYMBOLS: [&str; MAX_ATOMIC_NUMBER as usize] = [

@@ -176,7 +176,7 @@ fn excludes(structure: &Structure, i: usize, j: usize, distance: f64) -> bool {
 
 impl Structure {
     /// Reports partly occupied sites that are closer than any bond, and too full to exclude each other.
-    pub fn crowded_sites(&self) -> Option<String> {
+    pub(crate) fn crowded_sites(&self) -> Option<String> {
         let crowded = ExclusiveSites::of(self).crowded;
         let CrowdedPair { atoms: [i, j], distance } = *crowded.first()?;
         let name = |atom: u32| {

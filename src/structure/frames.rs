@@ -39,7 +39,7 @@ fn one() -> usize {
 impl FrameRange {
     /// Returns the number in its file of a chosen frame, both counted from 0.
     #[must_use]
-    pub fn number(&self, chosen: usize) -> usize {
+    pub(crate) fn number(&self, chosen: usize) -> usize {
         self.start + chosen * self.step.max(1)
     }
 

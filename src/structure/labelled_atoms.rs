@@ -4,7 +4,7 @@ use super::{Structure, elements};
 
 /// Label of a site in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub enum SiteLabel {
+pub(crate) enum SiteLabel {
     /// The atom belongs there, or there is no label.
     #[default]
     Pristine,
@@ -16,7 +16,7 @@ pub enum SiteLabel {
 
 /// A site of a file.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LabelledAtom {
+pub(crate) struct LabelledAtom {
     /// Cartesian position in Angstrom.
     pub position: [f64; 3],
     /// Atomic number; of a vacancy, the atomic number of the missing atom.
@@ -29,7 +29,7 @@ pub struct LabelledAtom {
 
 /// The sites of a file.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct LabelledAtoms {
+pub(crate) struct LabelledAtoms {
     /// Cell vectors as rows, in Angstrom.
     pub cell: [[f64; 3]; 3],
     /// The sites, in the order of the file.
@@ -58,7 +58,7 @@ impl LabelledAtoms {
     }
 
     /// Returns the least and the greatest coordinate along each axis, in Angstrom.
-    pub fn extent(&self) -> [[f64; 2]; 3] {
+    pub(crate) fn extent(&self) -> [[f64; 2]; 3] {
         let ends = |mut ends: [f64; 2], x: f64| {
             ends = [ends[0].min(x), ends[1].max(x)];
             ends
@@ -70,7 +70,7 @@ impl LabelledAtoms {
     }
 
     /// Returns the symbols of the elements that occur, sorted.
-    pub fn elements(&self) -> Vec<String> {
+    pub(crate) fn elements(&self) -> Vec<String> {
         let mut there = [false; 256];
         for atom in self.atoms.iter().filter(|a| a.label != SiteLabel::Vacancy) {
             there[usize::from(atom.number)] = true;

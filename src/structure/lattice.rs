@@ -3,17 +3,17 @@
 use std::ops::Rem;
 
 /// A Cartesian or fractional vector.
-pub type Vec3 = [f64; 3];
+pub(crate) type Vec3 = [f64; 3];
 /// Three row vectors.
-pub type Mat3 = [Vec3; 3];
+pub(crate) type Mat3 = [Vec3; 3];
 
 /// Scalar product.
-pub fn dot(a: Vec3, b: Vec3) -> f64 {
+pub(crate) fn dot(a: Vec3, b: Vec3) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// Vector product.
-pub fn cross(a: Vec3, b: Vec3) -> Vec3 {
+pub(crate) fn cross(a: Vec3, b: Vec3) -> Vec3 {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
@@ -23,7 +23,7 @@ pub fn norm(a: Vec3) -> f64 {
 }
 
 /// Difference `a - b`.
-pub fn subtract(a: Vec3, b: Vec3) -> Vec3 {
+pub(crate) fn subtract(a: Vec3, b: Vec3) -> Vec3 {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
@@ -38,7 +38,7 @@ pub fn determinant(m: &Mat3) -> f64 {
 }
 
 /// Returns the inverse matrix (Cartesian to fractional), or `None` for a flat cell.
-pub fn inverse(m: &Mat3) -> Option<Mat3> {
+pub(crate) fn inverse(m: &Mat3) -> Option<Mat3> {
     let volume = determinant(m);
     if volume == 0.0 || !volume.is_finite() {
         return None;
@@ -54,7 +54,7 @@ pub fn face_distances(m: &Mat3) -> Vec3 {
 }
 
 /// Moves a fractional coordinate into [0, 1); values within `1e-9` below 1 become 0.
-pub fn wrap_unit(x: f64) -> f64 {
+pub(crate) fn wrap_unit(x: f64) -> f64 {
     let wrapped = x - x.floor();
     if wrapped >= 1.0 - 1e-9 { 0.0 } else { wrapped }
 }

@@ -6,8 +6,8 @@
 mod alternatives;
 mod atom_check;
 mod cif;
-pub mod coincidence;
-pub mod columns;
+pub(crate) mod coincidence;
+pub(crate) mod columns;
 pub mod crystals;
 mod debye_waller;
 pub mod direction;
@@ -31,23 +31,22 @@ mod xyz;
 mod xyz_labels;
 
 pub use alternatives::Alternative;
-pub use debye_waller::{ROOM_TEMPERATURE_K, TABLE_TEMPERATURES_K, tabulated_sigma_angstrom};
+pub(crate) use debye_waller::{ROOM_TEMPERATURE_K, tabulated_sigma_angstrom};
 pub use frames::{FrameRange, read_frames};
-pub use labelled_atoms::{LabelledAtom, LabelledAtoms, SiteLabel};
+pub(crate) use labelled_atoms::{LabelledAtom, LabelledAtoms, SiteLabel};
 pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};
-pub use orient::OrientedBox;
-pub use preparation::{Preparation, PreparedStructure};
+pub(crate) use orient::OrientedBox;
+pub(crate) use preparation::Preparation;
 #[cfg(all(test, feature = "hdf5"))]
 pub(crate) use read::PARSED;
-pub use read::{
-    Format, ReadStructure, parse, parse_labelled, parse_noted, read, read_noted, sigmas_of_file,
-};
+pub(crate) use read::parse_labelled;
+pub use read::{Format, ReadStructure, parse, parse_noted, read, read_noted, sigmas_of_file};
+
 pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};
-pub use xyz::write_extxyz;
 
 /// Upper bound of the distance of neighbouring pairs in any crystal, in Angstrom.
-pub const PAIR_CUTOFF_ANGSTROM: f64 = 6.0;
+pub(crate) const PAIR_CUTOFF_ANGSTROM: f64 = 6.0;
 
 use crate::error::{Error, Result};
 use crate::setting::Setting;

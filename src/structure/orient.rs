@@ -27,7 +27,7 @@ const REPORT_INDEX: i64 = 6;
 
 /// A crystal in an orthogonal box, and the strain that made it so.
 #[derive(Debug, Clone, PartialEq)]
-pub struct OrientedBox {
+pub(crate) struct OrientedBox {
     /// The atoms in the box.
     pub structure: Structure,
     /// The largest principal strain by which the cell was made orthogonal: 0.01 is one per cent.
@@ -53,7 +53,7 @@ impl Structure {
     /// Returns the orthogonal supercell whose z axis is the lattice direction `zone` and whose y axis is `up`, or else the shortest lattice
     /// vector perpendicular to the zone; x completes a right-handed box. Indices refer to the vectors of this cell, so that the direction
     /// `[11-20]` of a hexagonal crystal is `[110]`. Angles within 1 mrad of 90 degrees are taken as right angles, and the atoms are
-    /// strained accordingly; [`Structure::oriented_within`] returns the strain. A cell that already has this form is returned unchanged.
+    /// strained accordingly. A cell that already has this form is returned unchanged.
     ///
     /// # Errors
     /// [`Error::Invalid`] if no such box has indices up to 24; it names the best angles.
@@ -66,7 +66,7 @@ impl Structure {
     ///
     /// # Errors
     /// [`Error::Invalid`] for a limit outside 0 to 0.1, and if no such box has indices up to 24.
-    pub fn oriented_within(
+    pub(crate) fn oriented_within(
         &self,
         zone: [i32; 3],
         up: Option<[i32; 3]>,

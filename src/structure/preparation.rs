@@ -12,7 +12,7 @@ const TOLD_STRAIN: f64 = 1e-5;
 
 /// Settings of the preparation of a structure.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Preparation {
+pub(crate) struct Preparation {
     /// Lattice direction along the beam.
     pub zone: Option<[i32; 3]>,
     /// Lattice direction along +y.
@@ -28,7 +28,7 @@ pub struct Preparation {
 
 /// A structure in an orthogonal box, with all sites occupied.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PreparedStructure {
+pub(crate) struct PreparedStructure {
     /// The atoms.
     pub structure: Structure,
     /// Edges of the box in Angstrom.
@@ -44,7 +44,7 @@ impl Preparation {
     ///
     /// # Errors
     /// [`Error::Invalid`] for a cell that cannot be made orthogonal, sites that are too full, and too many atoms or none.
-    pub fn prepare(&self, read: ReadStructure) -> Result<PreparedStructure> {
+    pub(crate) fn prepare(&self, read: ReadStructure) -> Result<PreparedStructure> {
         let ReadStructure { mut structure, mut notes } = read;
         notes.extend(atoms_outside(&structure));
         let mut strain_percent = None;

@@ -28,7 +28,7 @@ pub enum Format {
 
 impl Format {
     /// Returns the largest size of a file in bytes.
-    pub fn most_bytes(self) -> usize {
+    pub(crate) fn most_bytes(self) -> usize {
         match self {
             // All words of a CIF are kept until the end.
             Format::Cif => 32 << 20,
@@ -158,7 +158,7 @@ fn source_text<'a>(format: Format, bytes: &'a [u8], path: &'a Path) -> Result<So
 ///
 /// # Errors
 /// As [`parse`]; [`Error::Parse`] with the line of a label that is not understood, and for sites that are partly occupied.
-pub fn parse_labelled(format: Format, bytes: &[u8], path: &Path) -> Result<LabelledAtoms> {
+pub(crate) fn parse_labelled(format: Format, bytes: &[u8], path: &Path) -> Result<LabelledAtoms> {
     if format != Format::ExtXyz {
         let ReadStructure { structure, notes } = parse_noted(format, bytes, path)?;
         return LabelledAtoms::of(&structure, notes)

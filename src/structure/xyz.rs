@@ -1,15 +1,11 @@
-//! Reads and writes extended XYZ, as the Atomic Simulation Environment and OVITO write it: the number of atoms, a line of `key=value`, one
+//! Reads extended XYZ, as the Atomic Simulation Environment and OVITO write it: the number of atoms, a line of `key=value`, one
 //! line per atom.
 
-use super::elements::symbol;
 use super::lattice::{Vec3, subtract};
 use super::source_text::SourceText;
 use super::xyz_labels::LabelReader;
 use super::{Alternative, Atom, Structure};
 use crate::error::Result;
-use crate::files::atomic_write;
-use std::fmt::Write;
-use std::path::Path;
 
 /// Columns with the place, and with its alternative, of atoms that exclude each other ([`Alternative`]).
 const ALTERNATIVE: &str = "alternative";
@@ -326,47 +322,12 @@ fn take_value(rest: &str) -> Option<(String, &str)> {
     None
 }
 
-/// Writes the structure as extended XYZ, through a temporary file, so that `path` is either complete or unchanged. Numbers are written so
-/// that reading returns identical bits. Atoms that exclude each other have a column `alternative:I:2`, which other programs ignore.
-///
-/// # Errors
-/// [`crate::Error::Io`].
-pub fn write_extxyz(path: &Path, structure: &Structure) -> Result<()> {
-    atomic_write::write(path, to_extxyz(structure).as_bytes())
-}
-
-fn to_extxyz(structure: &Structure) -> String {
-    let partial = structure.atoms.iter().any(|a| a.occupancy != 1.0);
-    let lattice: Vec<String> = structure.cell.iter().flatten().map(f64::to_string).collect();
-    let groups = structure.atoms.iter().any(|a| a.alternative.is_some());
-    let occupancy = if partial { ":occupancy:R:1" } else { "" };
-    let alternative = if groups { ":alternative:I:2" } else { "" };
-    let mut out = format!(
-        "{}\nLattice=\"{}\" Properties=species:S:1:pos:R:3{occupancy}{alternative} pbc=\"T T T\"\n",
-        structure.atoms.len(),
-        lattice.join(" ")
-    );
-    for atom in &structure.atoms {
-        let [x, y, z] = atom.position;
-        // Writing to a String cannot fail.
-        let _ = write!(out, "{} {x} {y} {z}", symbol(atom.number));
-        if partial {
-            let _ = write!(out, " {}", atom.occupancy);
-        }
-        let _ = match atom.alternative {
-            Some(a) => writeln!(out, " {} {}", a.place, a.choice),
-            None if groups => writeln!(out, " {NO_ALTERNATIVE}"),
-            None => writeln!(out),
-        };
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::super::read::{Format, parse};
     use super::*;
-    use crate::error::Error;
 
     fn read(body: &str) -> Result<Structure> {
         parse(Format::ExtXyz, body.as_bytes(), Path::new("t.xyz"))
@@ -400,24 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn writing_and_reading_keeps_every_bit() {
-        let s = Structure {
-            cell: [[3.9050000000000002, 0.0, 0.1], [0.0, 4.0, 0.0], [-1.0 / 3.0, 0.0, 5.0]],
-            atoms: vec![
-                Atom::new(38, [0.1 + 0.2, 1.0 / 3.0, 1e-17]),
-                Atom { occupancy: 0.1 + 0.2, ..Atom::new(8, [2.0, -1.0, 1.5]) },
-            ],
-        };
-        assert_eq!(read(&to_extxyz(&s)).unwrap(), s);
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("s.xyz");
-        write_extxyz(&path, &s).unwrap();
-        assert_eq!(super::super::read(&path).unwrap(), s);
-        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1);
-    }
-
-    #[test]
-    fn atoms_that_exclude_each_other_still_do_when_they_are_read_back() {
+    fn atoms_that_exclude_each_other_are_read() {
         let way = |place, choice| Some(Alternative { place, choice });
         let atom = |number, alternative, x| Atom {
             occupancy: 0.5,
@@ -432,20 +376,11 @@ mod tests {
         ];
         let cell = [[9.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 0.0, 9.0]];
         let s = Structure { cell, atoms };
-        let written = to_extxyz(&s);
-        assert!(
-            written.contains(":occupancy:R:1:alternative:I:2 ") && written.contains("0.5 -1 -1\n")
-        );
-        assert_eq!(read(&written).unwrap(), s);
-        let reply = read(&written.replace("0.5 0 1\n", "0.5 0 x\n")).unwrap_err().to_string();
+        let body = "4\nLattice=\"9 0 0 0 9 0 0 0 9\" \
+                    Properties=species:S:1:pos:R:3:occupancy:R:1:alternative:I:2 pbc=\"T T T\"\n\
+                    C 1 0 0 0.5 0 0\nN 3 0 0 0.5 0 1\nO 5 0 0 0.5 -1 -1\nSi 7 0 0 1 -1 -1\n";
+        assert_eq!(read(body).unwrap(), s);
+        let reply = read(&body.replace("0.5 0 1\n", "0.5 0 x\n")).unwrap_err().to_string();
         assert!(reply.contains("t.xyz:4: alternative is `0 x`"), "{reply}");
-    }
-
-    #[test]
-    fn a_missing_directory_is_named() {
-        let s = Structure { cell: [[1.0; 3]; 3], atoms: vec![] };
-        let error = write_extxyz(Path::new("no/such/dir/s.xyz"), &s).unwrap_err();
-        assert!(matches!(error, Error::Io { .. }));
-        assert!(error.to_string().contains("no/such/dir"), "{error}");
     }
 }

@@ -6,7 +6,7 @@ use crate::progress::Progress;
 use crate::progress::ProgressShare;
 
 /// Runs simulations, and reports each as a share of the total progress.
-pub struct CheckRunner<'a> {
+pub(crate) struct CheckRunner<'a> {
     progress: &'a dyn Progress,
     /// Units of progress for one simulation.
     units: usize,
@@ -14,7 +14,7 @@ pub struct CheckRunner<'a> {
 
 impl<'a> CheckRunner<'a> {
     /// Makes a runner whose simulations each count `units` towards `progress`.
-    pub fn new(progress: &'a dyn Progress, units: usize) -> Self {
+    pub(crate) fn new(progress: &'a dyn Progress, units: usize) -> Self {
         CheckRunner { progress, units }
     }
 
@@ -27,7 +27,7 @@ impl<'a> CheckRunner<'a> {
     ///
     /// # Errors
     /// As [`Plan::new`] and [`simulate`].
-    pub fn simulate(
+    pub(crate) fn simulate(
         &self,
         settings: &Settings,
         sites: &[Site],
@@ -41,7 +41,7 @@ impl<'a> CheckRunner<'a> {
     ///
     /// # Errors
     /// As [`simulate`].
-    pub fn execute(&self, plan: &Plan, sites: &[Site], scan: &Scan) -> Result<Images> {
+    pub(crate) fn execute(&self, plan: &Plan, sites: &[Site], scan: &Scan) -> Result<Images> {
         let share = self.share();
         let images = simulate(plan, sites, scan, &share)?;
         share.complete();

@@ -46,14 +46,14 @@ impl Difference {
 }
 
 /// Returns the factor that brings an image nearest to the reference of the same shape (least squares).
-pub fn best_gain(image: ArrayView2<f64>, reference: ArrayView2<f64>) -> f64 {
+pub(crate) fn best_gain(image: ArrayView2<f64>, reference: ArrayView2<f64>) -> f64 {
     let product: f64 = image.iter().zip(&reference).map(|(a, b)| a * b).sum();
     product / image.iter().map(|a| a * a).sum::<f64>()
 }
 
 /// Extrapolates two grids to an infinitely fine one, if the error falls with the square of the pixel: `(r^2 fine - coarse) / (r^2 - 1)` for
 /// pixels in the ratio `r`. All three images have one shape [row, column] = [y, x] and one unit. Panics where the shapes differ.
-pub fn extrapolated(coarse: &Array2<f64>, fine: &Array2<f64>, ratio: f64) -> Array2<f64> {
+pub(crate) fn extrapolated(coarse: &Array2<f64>, fine: &Array2<f64>, ratio: f64) -> Array2<f64> {
     let square = ratio * ratio;
     (fine * square - coarse) / (square - 1.0)
 }

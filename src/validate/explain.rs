@@ -14,7 +14,7 @@ use rustfft::{Fft, FftPlanner};
 use super::difference::{Difference, best_gain};
 
 /// A further change is accepted if it makes the difference smaller by this factor.
-pub const MUCH_BETTER: f64 = 3.0;
+pub(crate) const MUCH_BETTER: f64 = 3.0;
 /// Last step of the search for a shift, in pixels.
 const FINEST: f64 = 1.0 / 256.0;
 /// Shifts whose fault is at most this multiple of the best fault count as equally good: crystals repeat.
@@ -26,7 +26,7 @@ const ENOUGH: f64 = 2e-3;
 
 /// Orientation of the pixels of a reference, applied before any other change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Turn {
+pub(crate) struct Turn {
     transposed: bool,
     /// Whether the image is mirrored along x and along y.
     mirrored: [bool; 2],
@@ -43,7 +43,7 @@ impl Turn {
     }
 
     /// Returns the image in this orientation.
-    pub fn apply(self, image: &Array2<f64>) -> Array2<f64> {
+    pub(crate) fn apply(self, image: &Array2<f64>) -> Array2<f64> {
         let mut view = if self.transposed { image.t() } else { image.view() };
         for (axis, mirrored) in [(1, self.mirrored[0]), (0, self.mirrored[1])] {
             if mirrored {
@@ -68,7 +68,7 @@ impl Turn {
 
 /// A change that brings a reference nearer to our image.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Explanation {
+pub(crate) struct Explanation {
     /// Orientation of the reference.
     pub turn: Turn,
     /// Shift of the reference's scan, (x, y) in pixels, if a shift was searched.
@@ -81,7 +81,7 @@ pub struct Explanation {
 
 impl Explanation {
     /// Describes the change in words, with pixels of `step` (x, y) in Angstrom.
-    pub fn words(&self, step: [f64; 2]) -> String {
+    pub(crate) fn words(&self, step: [f64; 2]) -> String {
         let mut words = Vec::new();
         if self.turn != Turn::default() {
             words.push(format!("the reference {}", self.turn.name()));
@@ -99,7 +99,7 @@ impl Explanation {
 
 /// The changes that were tried.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Explanations {
+pub(crate) struct Explanations {
     /// Rms difference without a change, divided by the mean of the reference.
     pub now: f64,
     /// The best change of each single kind: factor, orientation, shift. Orientation is missing if none can be tried.
@@ -110,7 +110,7 @@ pub struct Explanations {
 
 /// Our image, which extends beyond the reference on each side.
 #[derive(Debug, Clone, PartialEq)]
-pub struct WideImage {
+pub(crate) struct WideImage {
     /// The values.
     pub data: Array2<f64>,
     /// Number of pixels (x, y) beyond the reference on each side.
@@ -119,7 +119,7 @@ pub struct WideImage {
 
 impl WideImage {
     /// Returns the part at the place of the reference.
-    pub fn inner(&self) -> Array2<f64> {
+    pub(crate) fn inner(&self) -> Array2<f64> {
         let [x, y] = self.margin;
         let (rows, columns) = self.data.dim();
         self.data.slice(s![y..rows - y, x..columns - x]).to_owned()
@@ -127,7 +127,7 @@ impl WideImage {
 }
 
 /// Tries factors, orientations, and shifts up to the margin of our image.
-pub fn explanations(wide: &WideImage, reference: &Array2<f64>) -> Explanations {
+pub(crate) fn explanations(wide: &WideImage, reference: &Array2<f64>) -> Explanations {
     let ours = &wide.inner();
     let now = rms(ours, reference);
     let plain = Turn::default();
@@ -160,7 +160,7 @@ pub fn explanations(wide: &WideImage, reference: &Array2<f64>) -> Explanations {
 }
 
 /// Returns shifts (x, y) in pixels at which the reference may lie, the best first: crystals nearly repeat, so there are several.
-pub fn likely_shifts(wide: &WideImage, reference: &Array2<f64>) -> Vec<[f64; 2]> {
+pub(crate) fn likely_shifts(wide: &WideImage, reference: &Array2<f64>) -> Vec<[f64; 2]> {
     Matcher::new(wide).likely(reference)
 }
 

@@ -13,7 +13,7 @@ use crate::rng::philox4x32_10;
 
 /// Cosine waves over the places of a field: its rows and columns of blocks.
 #[derive(Debug, Clone)]
-pub struct FieldWaves {
+pub(crate) struct FieldWaves {
     places: usize,
     /// Values of each wave at all places; their mean square is 1 and their mean 0.
     waves: Vec<Vec<f64>>,
@@ -21,7 +21,7 @@ pub struct FieldWaves {
 
 /// A difference of two means.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MeanDifference {
+pub(crate) struct MeanDifference {
     /// The difference.
     pub value: f64,
     /// Standard error of the difference.
@@ -34,7 +34,7 @@ pub struct MeanDifference {
 
 impl FieldWaves {
     /// Makes the waves over `rows` x `columns` places: `down` waves along y times `across` along x, the constant one included.
-    pub fn new([rows, columns]: [usize; 2], [down, across]: [usize; 2]) -> Self {
+    pub(crate) fn new([rows, columns]: [usize; 2], [down, across]: [usize; 2]) -> Self {
         let wave = |m: usize, i: usize, n: usize| match m {
             0 => 1.0,
             _ => {
@@ -52,17 +52,17 @@ impl FieldWaves {
     }
 
     /// Number of places.
-    pub fn places(&self) -> usize {
+    pub(crate) fn places(&self) -> usize {
         self.places
     }
 
     /// Number of waves.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.waves.len()
     }
 
     /// Returns the difference of two ratios of sums over the same places.
-    pub fn difference(&self, a: &[(f64, f64)], b: &[(f64, f64)]) -> MeanDifference {
+    pub(crate) fn difference(&self, a: &[(f64, f64)], b: &[(f64, f64)]) -> MeanDifference {
         let residuals = |blocks: &[(f64, f64)]| {
             let (top, bottom) = blocks.iter().fold((0.0, 0.0), |s, b| (s.0 + b.0, s.1 + b.1));
             let of = move |b: &(f64, f64)| (b.0 - top / bottom * b.1) / bottom;
@@ -81,7 +81,7 @@ impl FieldWaves {
 
     /// Returns the largest of several sums over all places, and the share of random rotations of sum and waves with a sum at least as
     /// large. `values` holds a row for each place.
-    pub fn largest<R: AsRef<[f64]>>(&self, values: &[R]) -> (f64, f64) {
+    pub(crate) fn largest<R: AsRef<[f64]>>(&self, values: &[R]) -> (f64, f64) {
         let amplitudes = self.amplitudes(values);
         let largest = |sums: &[f64]| sums.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         let found = largest(&amplitudes[0]);
@@ -100,7 +100,7 @@ impl FieldWaves {
     }
 
     /// Returns the largest sum in units of its standard error, and its share of random rotations.
-    pub fn largest_in_errors(&self, values: &[Vec<f64>]) -> (f64, f64) {
+    pub(crate) fn largest_in_errors(&self, values: &[Vec<f64>]) -> (f64, f64) {
         let amplitudes = self.amplitudes(values);
         let columns = amplitudes[0].len();
         let power = |c: usize| amplitudes.iter().map(|a| a[c] * a[c]).sum::<f64>();

@@ -65,10 +65,11 @@ const ATOMS: [(&str, &str); 9] = atoms![
 ];
 
 /// Scattering factors as abTEM evaluates them, and published values.
-pub const SCATTERING_FACTORS: &str = include_str!("../../tests/golden/scattering_factors.csv");
+pub(crate) const SCATTERING_FACTORS: &str =
+    include_str!("../../tests/golden/scattering_factors.csv");
 
 /// Detectors of the images, in the order of the images.
-pub const DETECTORS: [&str; 4] = ["bf", "abf", "adf", "haadf"];
+pub(crate) const DETECTORS: [&str; 4] = ["bf", "abf", "adf", "haadf"];
 
 /// A reference: settings, atoms and arrays.
 pub struct Golden {
@@ -131,7 +132,7 @@ impl Golden {
     }
 
     /// Reads a pair of numbers from the settings.
-    pub fn pair(value: &Value) -> [f64; 2] {
+    pub(crate) fn pair(value: &Value) -> [f64; 2] {
         [0, 1].map(|i| value[i].as_f64().unwrap_or(f64::NAN))
     }
 
@@ -193,7 +194,7 @@ impl Golden {
     ///
     /// # Errors
     /// As [`Plan::new`].
-    pub fn plan_from_plane(&self, settings: &Settings) -> Result<Plan> {
+    pub(crate) fn plan_from_plane(&self, settings: &Settings) -> Result<Plan> {
         let half = self.slice_angstrom() / 2.0;
         let mut settings = settings.clone();
         settings.optics.aberrations.add_defocus(-half);

@@ -22,7 +22,7 @@ const SLICES_ANGSTROM: [f64; 3] = [0.5, 1.0, 2.0];
 
 /// A setting that is tried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Suspect {
+pub(crate) enum Suspect {
     /// The defocus, mainly its sign.
     Defocus,
     /// The energy of the beam.
@@ -39,7 +39,7 @@ pub enum Suspect {
 
 /// A change of a setting, and the difference that it leaves.
 #[derive(Debug, Clone, PartialEq)]
-pub struct TriedChange {
+pub(crate) struct TriedChange {
     /// The setting.
     pub suspect: Suspect,
     /// The change in words: `defocus -50 A in place of 50 A`.
@@ -50,7 +50,7 @@ pub struct TriedChange {
 
 /// The differences that the changes leave.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LikelySettings {
+pub(crate) struct LikelySettings {
     /// Number of probes.
     pub probes: usize,
     /// Rms difference at the probes without a change, divided by the mean.
@@ -79,7 +79,7 @@ struct Change {
 ///
 /// # Errors
 /// Errors of the engine. Changes that the grid cannot carry are left out.
-pub fn likely_settings(
+pub(crate) fn likely_settings(
     progress: &dyn Progress,
     c: &ImageComparison,
     ours: &Array2<f64>,

@@ -1,30 +1,34 @@
 //! Validation: the shipped suite of checks, comparison with an image of another program, and comparison of
 //! two worlds; and the reports that show them.
 //!
-//! The suite ([`suite::cases`]) is one list that users run (`stemgen validate`) and tests run. Each case returns [`Findings`]: numbers with
-//! their limits, and figures. [`user`] reads an image of another program, [`image_comparison`] compares it and [`explain`] searches the
-//! reason of a difference; [`worlds`] compares two world files by statistics, [`soundness`] checks one; [`manifest`] recognises released
+//! The suite ([`suite::cases`]) is one list that users run (`stemgen validate`) and tests run. Each case returns `Findings`: numbers with
+//! their limits, and figures. [`user`] reads an image of another program, [`image_comparison`] compares it and `explain` searches the
+//! reason of a difference; [`worlds`] compares two world files by statistics, `soundness` checks one; `manifest` recognises released
 //! worlds by their digests. [`report`] makes one HTML page of any result.
 
 mod check_runner;
-pub mod difference;
-pub mod explain;
-pub mod field_waves;
+mod difference;
+mod explain;
+mod field_waves;
 pub mod golden;
 pub mod image_comparison;
-pub mod likely_settings;
-pub mod manifest;
+mod likely_settings;
+mod manifest;
 mod pinned_contents;
 pub mod report;
-pub mod soundness;
-pub mod statistics;
+mod soundness;
+mod statistics;
 pub mod suite;
 mod truth_soundness;
 pub mod user;
 pub mod worlds;
 
-pub use check_runner::CheckRunner;
-pub use pinned_contents::{NOT_COMPARED, PinnedContents};
+pub(crate) use check_runner::CheckRunner;
+pub use difference::Difference;
+pub use manifest::{Manifest, PinnedSameness, PinnedWorld};
+pub use pinned_contents::PinnedContents;
+pub use soundness::{CheckOutcome, WorldCheck, check_world};
+pub use statistics::Ratio;
 
 use ndarray::Array2;
 use serde::Serialize;
@@ -72,7 +76,12 @@ pub struct Check {
 
 impl Check {
     /// Judges a number. A number that is not finite fails with any limit.
-    pub fn new(what: impl Into<String>, value: f64, unit: &'static str, limit: Limit) -> Self {
+    pub(crate) fn new(
+        what: impl Into<String>,
+        value: f64,
+        unit: &'static str,
+        limit: Limit,
+    ) -> Self {
         let good = match limit {
             Limit::AtMost(high) => value <= high,
             Limit::AtLeast(low) => value >= low,
@@ -88,7 +97,7 @@ impl Check {
     }
 
     /// Returns how near the number is to its limit: above 1 it is beyond it; 0 without a limit.
-    pub fn strain(&self) -> f64 {
+    pub(crate) fn strain(&self) -> f64 {
         let strain = match self.limit {
             Limit::AtMost(high) if high > 0.0 => self.value.abs() / high,
             Limit::AtLeast(low) if self.value > 0.0 => low / self.value,
@@ -100,7 +109,7 @@ impl Check {
     }
 
     /// Makes a number for information, without a limit.
-    pub fn shown(what: impl Into<String>, value: f64, unit: &'static str) -> Self {
+    pub(crate) fn shown(what: impl Into<String>, value: f64, unit: &'static str) -> Self {
         Check::new(what, value, unit, Limit::Open)
     }
 }
@@ -178,7 +187,7 @@ pub enum Figure {
 
 /// Results of a case.
 #[derive(Debug, Clone, Default)]
-pub struct Findings {
+pub(crate) struct Findings {
     /// The numbers.
     pub checks: Vec<Check>,
     /// The figures.
@@ -224,7 +233,7 @@ pub struct Outcome {
 }
 
 /// Returns `Fail` if one of the verdicts is `Fail`.
-pub fn overall<'a>(verdicts: impl IntoIterator<Item = &'a Verdict>) -> Verdict {
+pub(crate) fn overall<'a>(verdicts: impl IntoIterator<Item = &'a Verdict>) -> Verdict {
     match verdicts.into_iter().any(|v| *v == Verdict::Fail) {
         true => Verdict::Fail,
         false => Verdict::Pass,

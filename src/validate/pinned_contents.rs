@@ -9,7 +9,7 @@ use crate::io::{WorldFile, schema};
 use crate::numerics::processor;
 
 /// Attributes that may differ between two files of one released world, with the reason. Everything else is compared.
-pub const NOT_COMPARED: [(&str, &str); 2] = [
+pub(crate) const NOT_COMPARED: [(&str, &str); 2] = [
     ("/metadata@stemgen_version", "version of the program"),
     ("/metadata@wall_time_s", "time that a build took, in files of earlier versions"),
 ];
@@ -46,7 +46,7 @@ impl PinnedContents {
     ///
     /// # Errors
     /// Errors of reading the file.
-    pub fn of(world: &WorldFile) -> Result<Self> {
+    pub(crate) fn of(world: &WorldFile) -> Result<Self> {
         let left_out = |name: &String| NOT_COMPARED.iter().any(|(n, _)| n == name);
         let all = world.contents()?.into_iter().filter(|(name, _)| !left_out(name));
         let (image, everywhere) = all.partition(|(name, _)| is_of_image(name));
@@ -61,7 +61,7 @@ impl PinnedContents {
     }
 
     /// Compares the released contents with the contents of a file.
-    pub fn compare(&self, found: &PinnedContents) -> ContentsDifference {
+    pub(crate) fn compare(&self, found: &PinnedContents) -> ContentsDifference {
         let mut result = ContentsDifference::default();
         let left_out = NOT_COMPARED.map(|(name, why)| format!("{name} ({why})"));
         if self.everywhere.is_empty() {

@@ -10,9 +10,9 @@ use serde::Serialize;
 
 use super::truth_soundness::{check_boundaries, check_columns, check_sites};
 use crate::error::{Error, Result};
-use crate::io::schema::OVERVIEW_FACTOR;
 use crate::io::{WorldFile, WorldMetadata};
 use crate::progress::Progress;
+use crate::recipe::OVERVIEW_FACTOR;
 use crate::recipe::Recipe;
 
 /// Largest difference of pixels of the overview from the mean of the pixels that they represent.

@@ -6,7 +6,7 @@ use super::field_waves::FieldWaves;
 use crate::rng::philox4x32_10;
 
 /// Returns the probability that a normal variable lies further from its mean than `z` standard deviations, on either side.
-pub fn two_sided(z: f64) -> f64 {
+pub(crate) fn two_sided(z: f64) -> f64 {
     libm::erfc(z.abs() / std::f64::consts::SQRT_2)
 }
 
@@ -23,7 +23,7 @@ impl Ratio {
     /// Computes the ratio from (numerator, denominator) of each block. Neighbouring sites are not independent (defects cluster, grains
     /// differ), but whole blocks nearly are, so that the error is right even then (W. G. Cochran, Sampling Techniques, 3rd ed. (1977), sec.
     /// 6.3).
-    pub fn of_blocks(blocks: &[(f64, f64)]) -> Self {
+    pub(crate) fn of_blocks(blocks: &[(f64, f64)]) -> Self {
         let n = blocks.len() as f64;
         let (top, bottom) = blocks.iter().fold((0.0, 0.0), |s, b| (s.0 + b.0, s.1 + b.1));
         let value = top / bottom;
@@ -32,7 +32,7 @@ impl Ratio {
     }
 
     /// Returns the difference in standard errors; zero for equal values.
-    pub fn z(self, other: Ratio, least_error: f64) -> f64 {
+    pub(crate) fn z(self, other: Ratio, least_error: f64) -> f64 {
         let difference = self.value - other.value;
         match difference {
             0.0 => 0.0,
@@ -42,14 +42,14 @@ impl Ratio {
 }
 
 /// Returns the standard error of the difference of two rates of independent events, `a.0` of `a.1` and `b.0` of `b.1`.
-pub fn binomial_error(a: (f64, f64), b: (f64, f64)) -> f64 {
+pub(crate) fn binomial_error(a: (f64, f64), b: (f64, f64)) -> f64 {
     let rate = (a.0 + b.0) / (a.1 + b.1);
     (rate * (1.0 - rate) * (1.0 / a.1 + 1.0 / b.1)).sqrt()
 }
 
 /// Returns the probability that Student's t with `freedom` degrees of freedom lies further from 0 than `t`, on either side (M. Abramowitz
 /// and I. A. Stegun, Handbook of Mathematical Functions (1964), 26.7.3 and 26.7.4).
-pub fn student_two_sided(t: f64, freedom: usize) -> f64 {
+pub(crate) fn student_two_sided(t: f64, freedom: usize) -> f64 {
     // Above this number the normal distribution is right to 1 % at 4 standard deviations.
     const MANY: usize = 2000;
     if freedom == 0 || freedom > MANY || !t.is_finite() {
@@ -75,7 +75,7 @@ pub fn student_two_sided(t: f64, freedom: usize) -> f64 {
 
 /// Returns the standard error of the difference of two ratios whose blocks lie at the same places of two fields, from the scatter of the
 /// differences, block by block: features that both fields have at a place (a boundary, the lattice) are no scatter.
-pub fn paired_error(a: &[(f64, f64)], b: &[(f64, f64)]) -> f64 {
+pub(crate) fn paired_error(a: &[(f64, f64)], b: &[(f64, f64)]) -> f64 {
     let residuals = |blocks: &[(f64, f64)]| {
         let (top, bottom) = blocks.iter().fold((0.0, 0.0), |s, b| (s.0 + b.0, s.1 + b.1));
         let of = move |b: &(f64, f64)| (b.0 - top / bottom * b.1) / bottom;
@@ -88,7 +88,7 @@ pub fn paired_error(a: &[(f64, f64)], b: &[(f64, f64)]) -> f64 {
 
 /// Result of a Kolmogorov-Smirnov test of two samples.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Ks {
+pub(crate) struct Ks {
     /// Largest distance of the cumulative distributions.
     pub distance: f64,
     /// Share of random relabellings of the blocks whose distance is at least as large.
@@ -96,11 +96,11 @@ pub struct Ks {
 }
 
 /// A sample: the block and the value of each item.
-pub type Sample = [(u32, f32)];
+pub(crate) type Sample = [(u32, f32)];
 
 /// Correspondence of the blocks of two worlds.
 #[derive(Debug, Clone, Copy)]
-pub enum Places<'a> {
+pub(crate) enum Places<'a> {
     /// Blocks lie at the same places in both worlds: features that both have there (a boundary, an edge, the lattice) are no difference.
     /// The waves over the field show how far worlds of one kind differ.
     Same(&'a FieldWaves),
@@ -131,7 +131,7 @@ pub(super) fn share(found: f64, mut statistic: impl FnMut(u32) -> f64) -> f64 {
 /// blocks between the samples, since items of a block are not independent.
 ///
 /// Values are sorted into 400 classes that hold equal shares of both samples together.
-pub fn kolmogorov_smirnov(a: &Sample, b: &Sample, places: Places) -> Ks {
+pub(crate) fn kolmogorov_smirnov(a: &Sample, b: &Sample, places: Places) -> Ks {
     let edges = edges(a, b);
     if a.is_empty() || b.is_empty() || edges.is_empty() {
         let distance = if a.is_empty() == b.is_empty() { 0.0 } else { 1.0 };

@@ -4,8 +4,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use super::soundness::{FoundOrFault, SKIPPED};
 use crate::error::Result;
-use crate::io::schema::atom_type;
-use crate::io::{GroundTruth, WorldColumn, WorldFile};
+use crate::io::{GroundTruth, WorldColumn, WorldFile, atom_type};
 use crate::structure::elements;
 
 /// Largest distance of a site outside the field, in nm: columns at its edge have displaced sites.

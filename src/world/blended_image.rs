@@ -7,15 +7,15 @@ use ndarray::{Array2, ArrayView2, s};
 use crate::error::{Error, Result};
 use crate::imaging::Noise;
 use crate::io::WorldWriter;
-use crate::io::schema::OVERVIEW_FACTOR;
 use crate::progress::{Progress, Silent};
+use crate::recipe::OVERVIEW_FACTOR;
 use crate::recipe::resolved_recipe::Recipe;
 use crate::world::field_scan::{FieldScan, FieldScanRows, ScannedRows};
 use crate::world::subtile_store::SubtileStore;
 use crate::world::subtiles::Partition;
 
 /// The image of a world, computed band by band from the sub-tiles on disk.
-pub struct BlendedImage<'a> {
+pub(crate) struct BlendedImage<'a> {
     partition: &'a Partition,
     /// Pixels of the sub-tiles along the edge of one pixel of the image.
     parts: usize,
@@ -33,7 +33,7 @@ pub struct BlendedImage<'a> {
 
 impl<'a> BlendedImage<'a> {
     /// Describes the image of the built part of a field. Each of its pixels is the mean of `parts` x `parts` pixels of the partition.
-    pub fn new(
+    pub(crate) fn new(
         recipe: &Recipe,
         (partition, parts): (&'a Partition, usize),
         store: &'a SubtileStore,
@@ -57,7 +57,7 @@ impl<'a> BlendedImage<'a> {
     }
 
     /// Returns the image of detector `number`.
-    pub fn of_detector(&self, number: usize) -> Self {
+    pub(crate) fn of_detector(&self, number: usize) -> Self {
         BlendedImage {
             detector: [number, self.detector[1]],
             noise: self.noise.map(|noise| noise.of_detector(number as u16)),
@@ -103,7 +103,7 @@ impl<'a> BlendedImage<'a> {
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Interrupted`].
-    pub fn range(&self, progress: &dyn Progress) -> Result<[f32; 2]> {
+    pub(crate) fn range(&self, progress: &dyn Progress) -> Result<[f32; 2]> {
         progress.start("scaling", "row", self.shape[0] as u64);
         let mut range = [f32::INFINITY, f32::NEG_INFINITY];
         let mut bands = self.bands();
@@ -125,7 +125,7 @@ impl<'a> BlendedImage<'a> {
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Hdf5`], [`Error::Interrupted`].
-    pub fn write(
+    pub(crate) fn write(
         &self,
         writer: &WorldWriter,
         [low, high]: [f32; 2],

@@ -44,7 +44,7 @@ impl RecordedPart {
 
     /// Returns a part with as many pixels as a tile of the recipe, of edge `pixel_nm`, about `at_nm` or else the middle of the field.
     /// Without a place the part stays clear of the margins of the field, where nothing can be recorded.
-    pub fn tile_at(recipe: &Recipe, at_nm: Option<[f64; 2]>, pixel_nm: f64) -> Self {
+    pub(crate) fn tile_at(recipe: &Recipe, at_nm: Option<[f64; 2]>, pixel_nm: f64) -> Self {
         let (field, own) = (&recipe.field, recipe.field.pixel_nm());
         let size_nm = field.tile_px as f64 * pixel_nm;
         if let Some(centre_nm) = at_nm {

@@ -36,11 +36,6 @@ impl ImagePlan {
         }
         Ok(ImagePlan { part_px, parts, library: cost.mosaic, plan })
     }
-
-    /// Number of images that have to be simulated for the library first.
-    pub fn missing(&self) -> usize {
-        self.library.as_ref().map_or(0, |library| library.missing)
-    }
 }
 
 /// Reports simulations of one kind; each report with an estimate measures the speed of the machine.

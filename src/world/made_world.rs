@@ -61,7 +61,7 @@ pub fn imaging_of(
 ///
 /// # Errors
 /// Errors of the policy of builds.
-pub fn planned_imaging(
+pub(crate) fn planned_imaging(
     recipe: &CheckedRecipe,
     cache: Cache,
     window_angstrom: Option<f64>,

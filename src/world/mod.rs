@@ -3,12 +3,12 @@
 //! imaging -> sub-tiles -> blended image -> noise -> tiles -> file. A sub-tile is saved as soon as it is computed, so an interrupted build
 //! continues where it stopped.
 
-pub mod atoms_export;
+mod atoms_export;
 #[cfg(feature = "hdf5")]
 mod audit_job;
 #[cfg(feature = "hdf5")]
-pub mod blended_image;
-pub mod build_options;
+pub(crate) mod blended_image;
+mod build_options;
 #[cfg(feature = "hdf5")]
 mod build_plan;
 #[cfg(feature = "hdf5")]
@@ -23,7 +23,7 @@ pub mod footprint;
 mod image_plan;
 #[cfg(feature = "hdf5")]
 mod made_world;
-pub mod noise_free;
+pub(crate) mod noise_free;
 #[cfg(feature = "hdf5")]
 mod options_of_world;
 #[cfg(feature = "hdf5")]
@@ -32,18 +32,19 @@ mod publish;
 mod recording_job;
 #[cfg(feature = "hdf5")]
 mod recording_writer;
-pub mod region_truth;
+pub(crate) mod region_truth;
 #[cfg(feature = "render")]
-pub mod specimen_drawing;
+mod specimen_drawing;
 #[cfg(feature = "hdf5")]
 mod subtile_store;
-pub mod subtiles;
+#[cfg(feature = "hdf5")]
+mod subtiles;
 #[cfg(feature = "report")]
 mod training_file;
 mod training_sample;
 pub(crate) mod training_set;
 #[cfg(feature = "hdf5")]
-pub mod truth;
+mod truth;
 #[cfg(feature = "hdf5")]
 mod work_folder;
 #[cfg(feature = "hdf5")]
@@ -74,8 +75,8 @@ pub(crate) use field_tile::tile_of_image;
 pub use field_tile::{FieldTile, field_tile};
 pub use image_plan::ImagePlan;
 #[cfg(feature = "hdf5")]
-pub use made_world::{WorldEngine, imaging_of, planned_imaging};
-pub use noise_free::{ImagerSource, NoiseFree};
+pub use made_world::{WorldEngine, imaging_of};
+pub use noise_free::{ImagerSource, NoiseFree, refined, refinement};
 #[cfg(feature = "hdf5")]
 pub use publish::Companion;
 #[cfg(feature = "hdf5")]
@@ -100,4 +101,4 @@ pub use world_facts::{RecordingFacts, WorldFacts};
 #[cfg(feature = "hdf5")]
 pub use world_shard::ShardSummary;
 #[cfg(feature = "hdf5")]
-pub use world_source::WorldSource;
+pub(crate) use world_source::WorldSource;

@@ -16,7 +16,7 @@ use crate::setting::Setting;
 const FINE_ENOUGH: f64 = 0.42;
 
 /// Returns the highest frequency in images of a recipe, in 1/Angstrom.
-pub fn band_limit(recipe: &Recipe) -> f64 {
+pub(crate) fn band_limit(recipe: &Recipe) -> f64 {
     let optics = &recipe.optics;
     image_band_limit(&Optics {
         energy_ev: 1e3 * optics.energy_kv,
@@ -32,7 +32,7 @@ pub fn refinement(recipe: &Recipe) -> usize {
 }
 
 /// Returns the reason why a field cannot be recorded at its own pixel; `None` if it can.
-pub fn too_coarse(recipe: &Recipe) -> Option<Error> {
+pub(crate) fn too_coarse(recipe: &Recipe) -> Option<Error> {
     let pixel = recipe.field.pixel_nm();
     let needed = 0.1 * nyquist_step(band_limit(recipe));
     (pixel > needed).then(|| {

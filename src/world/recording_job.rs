@@ -135,7 +135,7 @@ impl RecordingRequest {
     ///
     /// # Errors
     /// Errors of [`RecordingRequest::electrons`].
-    pub fn options(&self, recipe: &CheckedRecipe) -> Result<RecordingOptions> {
+    pub(crate) fn options(&self, recipe: &CheckedRecipe) -> Result<RecordingOptions> {
         Ok(RecordingOptions {
             acquisition: self.table(recipe).resolved(),
             electrons: self.electrons(recipe)?,

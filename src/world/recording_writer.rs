@@ -5,13 +5,12 @@ use std::path::Path;
 use super::field_recording::FieldRecording;
 use super::truth;
 use crate::error::Result;
-use crate::io::TruthWriter;
-use crate::io::recording_file::{RecordingFile, write_recording};
+use crate::io::{RecordingFile, TruthWriter, write_recording};
 use crate::recipe::CheckedRecipe;
 use crate::specimen::Specimen;
 
 impl FieldRecording {
-    /// Writes a file with the recording and its ground truth; its schema is in [`crate::io::recording_file`].
+    /// Writes a file with the recording and its ground truth; its schema is in `recording_file.rs`.
     ///
     /// # Errors
     /// [`crate::Error::Io`], [`crate::Error::Hdf5`].

@@ -32,7 +32,7 @@ impl SiteTruth {
 }
 
 /// Returns the name of a defect: `vacancy_O`, `substitution_Ge`; empty for none.
-pub fn defect_name(kind: SiteKind, number: u8) -> String {
+pub(crate) fn defect_name(kind: SiteKind, number: u8) -> String {
     let symbol = elements::symbol(number);
     match kind {
         SiteKind::Pristine => String::new(),
@@ -81,7 +81,7 @@ impl ColumnTruth {
 }
 
 /// Lists sites and columns in the order of the specimen; `origin_nm` (x, y) becomes (0, 0), and columns are counted from `first_column` on.
-pub fn list(
+pub(crate) fn list(
     sites: &Sites,
     origin_nm: [f64; 2],
     first_column: usize,
@@ -103,7 +103,7 @@ pub fn list(
 }
 
 /// Returns the phases at the centres of pixels, [row, column] = [y, x], as indices into the phases of the specimen.
-pub fn phase_map(specimen: &dyn Specimen, pixels: &PixelRect, pixel_nm: f64) -> Array2<i32> {
+pub(crate) fn phase_map(specimen: &dyn Specimen, pixels: &PixelRect, pixel_nm: f64) -> Array2<i32> {
     let PixelRect { first, stride, .. } = *pixels;
     phases_of_points(specimen, pixels.sampled_shape(), |row, column| {
         let at = [first[1] + column * stride, first[0] + row * stride];
@@ -112,7 +112,7 @@ pub fn phase_map(specimen: &dyn Specimen, pixels: &PixelRect, pixel_nm: f64) -> 
 }
 
 /// Returns the phases at points (x, y) in nm of the full field, [row, column] = [y, x]; `point_nm` returns the point of a row and a column.
-pub fn phases_of_points(
+pub(crate) fn phases_of_points(
     specimen: &dyn Specimen,
     shape: [usize; 2],
     point_nm: impl Fn(usize, usize) -> [f64; 2] + Sync,
@@ -128,7 +128,7 @@ pub fn phases_of_points(
 }
 
 /// Returns the parts of a boundary that lie in a region: lines of corners (x, y) in nm of the full field.
-pub fn boundary_parts(boundary: &Boundary, region: &Region) -> Vec<Vec<[f64; 2]>> {
+pub(crate) fn boundary_parts(boundary: &Boundary, region: &Region) -> Vec<Vec<[f64; 2]>> {
     let mut lines: Vec<Vec<[f64; 2]>> = Vec::new();
     for ends in boundary.line_nm.windows(2) {
         let Some([from, to]) = clip([ends[0], ends[1]], region) else { continue };

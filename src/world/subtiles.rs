@@ -10,7 +10,7 @@ use ndarray::{Array2, ArrayView2, s};
 
 /// One sub-tile.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SubTile {
+pub(crate) struct SubTile {
     /// Number of the sub-tile, row by row.
     pub index: usize,
     /// Range of rows, in pixels.
@@ -21,19 +21,19 @@ pub struct SubTile {
 
 impl SubTile {
     /// Number of pixels: [rows, columns].
-    pub fn shape(&self) -> [usize; 2] {
+    pub(crate) fn shape(&self) -> [usize; 2] {
         [self.rows.len(), self.columns.len()]
     }
 
     /// Shape [rows, columns] of the images of several detectors, one below the other.
-    pub fn stored_shape(&self, detectors: usize) -> [usize; 2] {
+    pub(crate) fn stored_shape(&self, detectors: usize) -> [usize; 2] {
         [detectors * self.rows.len(), self.columns.len()]
     }
 }
 
 /// A partition of a raster into sub-tiles.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Partition {
+pub(crate) struct Partition {
     rows: Vec<Range<usize>>,
     columns: Vec<Range<usize>>,
 }
@@ -44,7 +44,12 @@ impl Partition {
     ///
     /// # Errors
     /// [`Error::Invalid`] unless a sub-tile is more than three times as wide as the overlap: no pixel may lie in three sub-tiles of a row.
-    pub fn new(shape: [usize; 2], pixel_nm: f64, size_nm: f64, overlap_nm: f64) -> Result<Self> {
+    pub(crate) fn new(
+        shape: [usize; 2],
+        pixel_nm: f64,
+        size_nm: f64,
+        overlap_nm: f64,
+    ) -> Result<Self> {
         let pixels = |nm: f64| (nm / pixel_nm).round() as usize;
         let (size, overlap) = (pixels(size_nm), pixels(overlap_nm));
         let sensible = (0.0..1e5).contains(&size_nm) && (0.0..1e5).contains(&overlap_nm);
@@ -62,15 +67,12 @@ impl Partition {
     }
 
     /// Number of sub-tiles.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.rows.len() * self.columns.len()
     }
-    /// Always false: a partition has at least one sub-tile.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
+
     /// Returns all sub-tiles, row by row.
-    pub fn subtiles(&self) -> impl Iterator<Item = SubTile> + '_ {
+    pub(crate) fn subtiles(&self) -> impl Iterator<Item = SubTile> + '_ {
         (0..self.len()).map(|index| {
             let (r, c) = (index / self.columns.len(), index % self.columns.len());
             SubTile { index, rows: self.rows[r].clone(), columns: self.columns[c].clone() }
@@ -82,7 +84,7 @@ impl Partition {
     ///
     /// # Errors
     /// Errors of `load`.
-    pub fn blend(
+    pub(crate) fn blend(
         &self,
         band: Range<usize>,
         load: impl Fn(&SubTile) -> Result<Array2<f32>> + Sync,

@@ -18,7 +18,7 @@ use ndarray::Array1;
 
 use super::training_set::TrainingSet;
 use crate::error::Result;
-use crate::io::npz_file::write_npz;
+use crate::io::write_npz;
 
 /// The fields of `columns` in NumPy's notation of data types.
 const COLUMN_FIELDS: &str = "[('sample', '<i4'), ('x_px', '<f4'), ('y_px', '<f4'), ('class', '<i4'), ('number', '<i4'), \

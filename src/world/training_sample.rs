@@ -121,7 +121,7 @@ impl SampleOptions {
     }
 
     /// Draws the place of sample `index` and its dose in electrons per square Angstrom.
-    pub fn draw(&self, field: &Field, index: u64) -> (TurnedRaster, f64) {
+    pub(crate) fn draw(&self, field: &Field, index: u64) -> (TurnedRaster, f64) {
         let uniform = |draw: u32| rng::uniform(self.seed, Purpose::Tile, draw, index);
         let even = |[low, high]: [f64; 2], draw: u32| low + uniform(draw) * (high - low);
         let log = |range: [f64; 2], draw: u32| match range {

@@ -4,9 +4,10 @@ use super::field_recording::{FieldRecording, region_of};
 use crate::acquisition::{ScanFrame, ScanPath};
 use crate::error::Result;
 use crate::imaging::pixels::PixelRect;
-use crate::io::schema::{CompositionText, DefectName, MorphologyName, atom_type};
+use crate::io::schema::{CompositionText, DefectName, MorphologyName};
 use crate::io::{
     DislocationRow, LayerRow, LineKind, ParticleBatch, TruthBatch, TruthWriter, WorldWriter,
+    atom_type,
 };
 use crate::progress::Progress;
 use crate::recipe::{Field, Region};
@@ -34,7 +35,7 @@ pub struct Counts {
 ///
 /// # Errors
 /// Errors of the writer, and [`crate::Error::Interrupted`].
-pub fn write(
+pub(crate) fn write(
     specimen: &dyn Specimen,
     field: &Field,
     writer: &WorldWriter,
@@ -94,7 +95,7 @@ fn appearance(path: &ScanPath, position_nm: [f32; 2]) -> [f32; 2] {
 ///
 /// # Errors
 /// Errors of the writer.
-pub fn write_recorded(
+pub(crate) fn write_recorded(
     specimen: &dyn Specimen,
     recording: &FieldRecording,
     origin_nm: [f64; 2],

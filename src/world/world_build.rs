@@ -117,12 +117,12 @@ impl WorldBuild {
     }
 
     /// The specimen.
-    pub fn specimen(&self) -> &Arc<dyn Specimen> {
+    pub(crate) fn specimen(&self) -> &Arc<dyn Specimen> {
         &self.layout.specimen
     }
 
     /// Returns the method, the check and the sub-tiles that the options choose.
-    pub fn policy(&self) -> &BuildPolicy {
+    pub(crate) fn policy(&self) -> &BuildPolicy {
         &self.policy
     }
 
@@ -144,7 +144,7 @@ impl WorldBuild {
     }
 
     /// Returns the number of sub-tiles, and their shape [rows, columns] in pixels.
-    pub fn subtiles(&self) -> (usize, [usize; 2]) {
+    pub(crate) fn subtiles(&self) -> (usize, [usize; 2]) {
         let shape = self.layout.partition.subtiles().next().map_or([1, 1], |t| t.shape());
         (self.layout.partition.len(), shape)
     }
@@ -153,7 +153,7 @@ impl WorldBuild {
     ///
     /// # Errors
     /// Errors of the plan.
-    pub fn subtile_plan(&self) -> Result<(SimulationRuns, [f64; 2])> {
+    pub(crate) fn subtile_plan(&self) -> Result<(SimulationRuns, [f64; 2])> {
         let (count, shape) = self.subtiles();
         let simulator = &self.policy.imaging.simulator;
         rectangle_plan(&self.layout.imaged, &*self.layout.specimen, simulator, shape, count)
@@ -193,7 +193,7 @@ impl WorldBuild {
     ///
     /// # Errors
     /// Errors of the plan.
-    pub fn audit_cost(&self, cost: &ImagingCost) -> Result<Option<SimulationRuns>> {
+    pub(crate) fn audit_cost(&self, cost: &ImagingCost) -> Result<Option<SimulationRuns>> {
         let BuildPolicy { imaging, check, .. } = &self.policy;
         let mosaic = cost.mosaic.as_ref();
         let forced = imaging.method == MethodChoice::Mosaic;

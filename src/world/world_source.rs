@@ -10,7 +10,7 @@ use crate::progress::Progress;
 use crate::recipe::CheckedRecipe;
 
 /// A world that was built with its noise-free image.
-pub struct WorldSource<'a> {
+pub(crate) struct WorldSource<'a> {
     /// The world.
     pub world: &'a WorldFile,
     /// Recipe of the world.

@@ -4,7 +4,7 @@ use super::{fails, file, json, python, stderr, stdout, stemgen};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use stemgen::files::file_digest::sha256_of_file;
+use stemgen::files::sha256_of_file;
 
 /// Two small worlds: `test.h5`, and `own.h5` of a recipe file.
 fn worlds(folder: &Path) {

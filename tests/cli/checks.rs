@@ -18,7 +18,7 @@ const ENDLESS: [&str; 7] = [
 #[test]
 fn a_disk_that_is_too_small_is_found() {
     let folder = tempfile::tempdir().unwrap();
-    match stemgen::files::disk_space::free_bytes(folder.path()) {
+    match stemgen::files::free_bytes(folder.path()) {
         Some(free) if free < 1_000_000_000_000 => {}
         Some(_) => return skipped("the disk has more room than the test asks for"),
         None => return skipped("the free space of the disk is unknown"),

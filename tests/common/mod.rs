@@ -8,7 +8,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 use ndarray::Array2;
-use stemgen::engine::Site;
 use stemgen::imaging::{
     DetectorChoice, DisplacedAtoms, ImageBlocks, ImagerFacts, ImagingCost, PixelBox, PixelRect,
     RasterDetail, RegionImager, SharedLibrary, TurnedRaster,
@@ -16,6 +15,7 @@ use stemgen::imaging::{
 use stemgen::progress::Progress;
 use stemgen::recipe::{CheckedRecipe, Recipe, Region};
 use stemgen::specimen::{DISPLACED_NM, Specimen, SpecimenSite};
+use stemgen::structure::Site;
 use stemgen::world::{BuildOptions, BuildSummary, WorldBuild};
 use stemgen::{Error, Result};
 

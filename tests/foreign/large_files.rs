@@ -8,7 +8,7 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use sha2::{Digest, Sha256};
 use stemgen::imaging::Cache;
-use stemgen::imaging::mosaic::library_archive::import;
+use stemgen::imaging::library_archive::import;
 use stemgen::io::arrays;
 use stemgen::io::recorded::{self, ImageChoice};
 use stemgen::numerics::NUMERICS_VERSION;

@@ -6,10 +6,11 @@ use std::time::Instant;
 use stemgen::detect::Detector;
 use stemgen::engine::{
     AccuracyFound, Algorithm, Expansion, GridChoice, Images, Phonons, Plan, ProbeBox, ProbeStep,
-    Scan, Settings, Simulation, Site, settings_for_accuracy, simulate,
+    Scan, Settings, Simulation, settings_for_accuracy, simulate,
 };
 use stemgen::progress::Silent;
 use stemgen::structure;
+use stemgen::structure::Site;
 
 struct Specimen {
     sites: Vec<Site>,

@@ -10,9 +10,7 @@ use std::sync::LazyLock;
 
 use proptest::prelude::*;
 use rustfft::num_complex::Complex;
-use stemgen::models::carbon::block;
-use stemgen::models::carbon::carbon_film::{CELL, Film, LEAST_DISTANCE, unfolded};
-use stemgen::models::carbon::network::{Neighbours, Network};
+use stemgen::models::carbon::{CELL, Film, LEAST_DISTANCE, Neighbours, Network, block, unfolded};
 
 /// Atoms in A^3 at 1 g/cm3.
 const PER_DENSITY: f64 = 0.602_214_076 / 12.011;
@@ -254,7 +252,7 @@ proptest! {
         let whole = FILM.atoms(&[[x, x + w], [y, y + w]]);
         let mut parts = FILM.atoms(&[[x, middle], [y, y + w]]);
         parts.extend(FILM.atoms(&[[middle, x + w], [y, y + w]]));
-        let by_key = |atoms: &[stemgen::models::carbon::carbon_film::FilmAtom]| -> HashMap<u64, [u64; 3]> {
+        let by_key = |atoms: &[stemgen::models::carbon::FilmAtom]| -> HashMap<u64, [u64; 3]> {
             atoms.iter().map(|a| (a.key, a.position.map(f64::to_bits))).collect()
         };
         prop_assert_eq!(whole.len(), parts.len());

@@ -11,10 +11,9 @@ use stemgen::live::{LiveOptions, LiveRequest, LiveSnapshot, LiveWorld};
 use stemgen::progress::{Progress, Silent};
 use stemgen::recipe::{CheckedRecipe, Override, Recipe, Region};
 use stemgen::specimen::{DoseMap, specimen};
-use stemgen::world::noise_free::{refined, refinement};
 use stemgen::world::{
     BuildMethod, BuildOptions, Electrons, FieldRecording, ImagerSource, RecordedPart,
-    RecordingOptions, record,
+    RecordingOptions, record, refined, refinement,
 };
 
 /// The middle of the field of the recipe for tests, in nm from its first built pixel.

@@ -3,12 +3,14 @@
 use std::path::Path;
 
 use stemgen::detect::Detector;
-use stemgen::engine::single_scattering::SingleScattering;
-use stemgen::engine::{Algorithm, Images, Plan, ProbeBox, Scan, Settings, Site, simulate};
+use stemgen::engine::{
+    Algorithm, Images, Plan, ProbeBox, Scan, Settings, SingleScattering, simulate,
+};
 use stemgen::imaging::Cache;
 use stemgen::io::WorldFile;
 use stemgen::progress::Silent;
 use stemgen::recipe::{CheckedRecipe, Recipe};
+use stemgen::structure::Site;
 use stemgen::world::{BuildMethod, BuildOptions, build};
 
 /// Width of the annuli in mrad, and how many there are.

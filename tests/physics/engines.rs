@@ -3,10 +3,11 @@
 use stemgen::detect::Detector;
 use stemgen::engine::{
     Algorithm, Expansion, Images, Phonons, Plan, ProbeBox, ProbeRaster, ProbeStep, Scan, Settings,
-    Site, simulate, window_for,
+    simulate, window_for,
 };
 use stemgen::optics::{Aberration, Optics};
 use stemgen::progress::Silent;
+use stemgen::structure::Site;
 
 const A: f64 = 3.905;
 

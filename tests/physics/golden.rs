@@ -2,12 +2,13 @@
 //! shipped suite (`tests/physics/validate.rs`).
 
 use ndarray::{Array1, ArrayView2, Axis};
-use stemgen::engine::settings::EXACT_BAND_FRACTION;
-use stemgen::engine::{Algorithm, BeyondLimit, GridChoice, ProbeBox, Scan, Settings, simulate};
+use stemgen::engine::{
+    Algorithm, BeyondLimit, EXACT_BAND_FRACTION, GridChoice, ProbeBox, Scan, Settings, simulate,
+};
 use stemgen::optics::{Aberration, Aberrations};
-use stemgen::potential::slices::Slicing;
+use stemgen::potential::Slicing;
 use stemgen::progress::Silent;
-use stemgen::validate::difference::Difference;
+use stemgen::validate::Difference;
 use stemgen::validate::golden::Golden;
 
 /// The promise is 0.2 %.

@@ -1,11 +1,11 @@
 //! Mistilt and focal spread: against laws that hold exactly, in every engine.
 
 use stemgen::engine::{
-    Algorithm, Expansion, Images, Plan, ProbeBox, ProbeStep, Scan, Settings, Site, exit_wave,
-    simulate,
+    Algorithm, Expansion, Images, Plan, ProbeBox, ProbeStep, Scan, Settings, exit_wave, simulate,
 };
 use stemgen::optics::{Aberration, Aberrations, Optics, foci};
 use stemgen::progress::Silent;
+use stemgen::structure::Site;
 
 const A: f64 = 3.905;
 

@@ -5,15 +5,16 @@ use stemgen::detect::{
     Detector, DetectorMtf, PatternDetector, PixelatedDetector, RadialBins, VirtualDetector,
     centre_of_mass_mrad, weighted_sum,
 };
-use stemgen::engine::patterns::{PatternRows, PatternSettings, simulate_patterns};
 use stemgen::engine::{
-    Algorithm, Expansion, Phonons, Plan, ProbeBox, ProbeStep, Scan, Settings, Site, simulate,
+    Algorithm, Expansion, PatternRows, PatternSettings, Phonons, Plan, ProbeBox, ProbeStep, Scan,
+    Settings, simulate, simulate_patterns,
 };
 use stemgen::progress::Silent;
 use stemgen::simulation::{
     AtomsSource, Engine, PatternBand, PatternValues, PatternsRequest, SimulationJob,
     SimulationRequest,
 };
+use stemgen::structure::Site;
 use stemgen::validate::golden::Golden;
 
 const EDGE: f64 = 3.905;

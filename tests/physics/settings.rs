@@ -7,12 +7,12 @@ use proptest::test_runner::{RngAlgorithm, TestCaseResult, TestRng, TestRunner};
 use stemgen::detect::Detector;
 use stemgen::engine::{
     Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, Plan, ProbeBox, ProbeStep, Scan,
-    Settings, Site, simulate,
+    Settings, simulate,
 };
 use stemgen::optics::{Aberration, Aberrations};
-use stemgen::potential::projected::Projection;
-use stemgen::potential::slices::Slicing;
+use stemgen::potential::{Projection, Slicing};
 use stemgen::progress::Silent;
+use stemgen::structure::Site;
 
 const CELL: [f64; 3] = [6.0, 7.0, 4.0];
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use ndarray::Array2;
-use stemgen::engine::{Algorithm, Phonons, Plan, Site};
+use stemgen::engine::{Algorithm, Phonons, Plan};
 use stemgen::imaging::{
     DetectorChoice, DirectImager, DisplacedAtoms, ImageBlocks, ImagerFacts, ImagingCost, PixelBox,
     PixelRect, RasterDetail, RegionImager, SharedLibrary, Simulator, SurfaceImager, TurnedRaster,
@@ -12,6 +12,7 @@ use stemgen::imaging::{
 use stemgen::progress::{Progress, Silent};
 use stemgen::recipe::{CheckedRecipe, Override, Recipe, Region};
 use stemgen::specimen::{Specimen, SurfaceLayers, specimen};
+use stemgen::structure::Site;
 
 const WINDOW: Algorithm = Algorithm::Window { width_angstrom: 7.8 };
 

@@ -7,7 +7,7 @@ use ndarray::Array2;
 use stemgen::engine::{Algorithm, Plan, simulate};
 use stemgen::imaging::{
     AuditOptions, Cache, DirectImager, MethodChoice, MosaicImager, PixelBox, PixelRect,
-    RegionImager, SharedLibrary, Simulator, audit, displaced_atoms::mean_atoms,
+    RegionImager, SharedLibrary, Simulator, audit, mean_atoms,
 };
 use stemgen::io::WorldFile;
 use stemgen::progress::Silent;

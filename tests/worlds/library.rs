@@ -6,7 +6,7 @@ use std::path::Path;
 
 use ndarray::{Array2, ArrayView2, s};
 use stemgen::benchmark::{BenchmarkWorld, RecipeSource, TileView};
-use stemgen::imaging::mosaic::supplied_images::digest;
+use stemgen::imaging::supplied_images::digest;
 use stemgen::imaging::{
     Cache, MosaicImager, RasterDetail, RegionImager, SharedLibrary, SuppliedLibrary, TurnedRaster,
 };

@@ -12,9 +12,8 @@ use stemgen::models::particles::rotation::Rotation;
 use stemgen::models::particles::{Metal, Morphology};
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe, Region};
-use stemgen::specimen::particles::ROW_TILT_DEG;
 use stemgen::specimen::{
-    DISPLACED_NM, ParticleOutline, ParticleTruth, SiteKind, Specimen, SpecimenSite,
+    DISPLACED_NM, ParticleOutline, ParticleTruth, ROW_TILT_DEG, SiteKind, Specimen, SpecimenSite,
 };
 use stemgen::world::BuildOptions;
 

@@ -5,14 +5,12 @@ use std::path::{Path, PathBuf};
 use crate::common::{Spots, build};
 use crate::dm_bytes::{DM3, DM3_BIG, DM4, Dm, DmStyle, document, floats, image};
 use ndarray::{Array2, Array3, arr2, s};
-use stemgen::io::hspy_file::{HspyFacts, write_hspy};
-use stemgen::io::image_file::ImageStack;
 use stemgen::io::recorded::{ImageChoice, RecordedFormat, RecordedImage, read};
-use stemgen::io::{WorldFile, schema};
+use stemgen::io::{HspyFacts, ImageStack, WorldFile, atom_type, schema, write_hspy};
 use stemgen::progress::Silent;
 use stemgen::recipe::Recipe;
 use stemgen::replay::{PixelOrigin, ReplayOptions, ReplayWorld, calibrate};
-use stemgen::validate::soundness::{CheckOutcome, check_world};
+use stemgen::validate::{CheckOutcome, check_world};
 use stemgen::world::BuildOptions;
 
 fn named(name: &str) -> ImageChoice {
@@ -203,6 +201,7 @@ fn signals_of_hyperspy_are_read_with_their_axes() {
         thicknesses_angstrom,
         defocus_angstrom: None,
         annulus_mrad: None,
+        sector_degrees: None,
         electrons_per_pixel: None,
     };
     let one = data.slice(s![..1, .., ..]);
@@ -489,7 +488,7 @@ fn check_truth(world: &WorldFile, made: &CellFile) {
         let near = |k: usize| (f64::from(found[k]) - made.scale * expected[k]).abs() < 1e-5;
         assert!(near(0) && near(1), "{found:?} {expected:?}");
     }
-    assert!(truth.types.iter().all(|t| *t == schema::atom_type::PRISTINE));
+    assert!(truth.types.iter().all(|t| *t == atom_type::PRISTINE));
     assert!(truth.defects.iter().all(|d| !d) && truth.defect_names.iter().all(String::is_empty));
     assert!(truth.z.is_empty() && truth.numbers.is_empty() && truth.columns.is_empty());
     let [rows, columns] = world.shape();

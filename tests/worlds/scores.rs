@@ -4,12 +4,11 @@ use std::collections::BTreeMap;
 
 use ndarray::Array2;
 use serde_json::Value;
-use stemgen::benchmark::matching::{most_pairs, nearest_pairs};
-use stemgen::benchmark::task_scores::{
-    NO_PHASE, PAPER_RADIUS_NM, STRICT_RADIUS_NM, column_score, count_f1, defect_census, macro_f1,
+use stemgen::benchmark::{
+    DoseCurve, FoundColumn, FoundParticle, NO_PHASE, PAPER_RADIUS_NM, PlacedDefect,
+    STRICT_RADIUS_NM, column_score, count_f1, defect_census, macro_f1, most_pairs, nearest_pairs,
     particle_census, phase_iou, spatial_f1, targeted_f1,
 };
-use stemgen::benchmark::{DoseCurve, FoundColumn, FoundParticle, PlacedDefect};
 
 fn references(name: &str) -> Vec<Value> {
     let text = include_str!("../benchmark/references.json");
@@ -171,9 +170,7 @@ fn nothing_said_of_phases_is_right_where_there_is_one() {
     let part =
         Array2::from_shape_fn((4, 4), |(i, j)| if j < 2 { (i / 2) as i32 } else { NO_PHASE });
     assert!(near(phase_iou(Some(&two), &part), 1.0));
-    assert!(
-        stemgen::benchmark::task_scores::phase_iou(Some(&one), &Array2::zeros((4, 5))).is_err()
-    );
+    assert!(stemgen::benchmark::phase_iou(Some(&one), &Array2::zeros((4, 5))).is_err());
 }
 
 fn particle(x: f64, diameter_nm: f64, morphology: &str) -> FoundParticle {

@@ -161,7 +161,9 @@ fn a_misfit_layer_keeps_its_lattice_and_coincident_cells_end_together() {
 #[test]
 fn a_layer_can_be_turned_about_the_beam() {
     let layer = "[[stack.layers]]\ncrystal = \"graphene_layer.cif\"\nzone_axis = \"[001]\"\ny_axis = \"[010]\"\n";
-    let stack = format!("[stack]\nalong = \"z\"\n{layer}thickness_nm = 0.3\n{layer}fit = \"misfit\"\nturn_deg = 13.0\n");
+    let stack = format!(
+        "[stack]\nalong = \"z\"\n{layer}thickness_nm = 0.3\n{layer}fit = \"misfit\"\nturn_deg = 13.0\n"
+    );
     let recipe = checked(&stack, 0.6708, &["C"]);
     let specimen = stemgen::specimen::specimen(&recipe).unwrap();
     let found = specimen.sites(&recipe.field.full_region().grown(3.0));

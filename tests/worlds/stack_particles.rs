@@ -153,13 +153,17 @@ fn particles_of_a_compound_lie_apart_on_a_rough_film_and_keep_their_bonds() {
 #[test]
 fn shapes_of_metals_and_spheres_and_tilts() {
     let elements = &["C", "Pt"];
-    for (shape, more) in [("icosahedral", ""), ("decahedral", "max_tilt_deg = 2.0\n"), ("sphere", "")] {
+    for (shape, more) in
+        [("icosahedral", ""), ("decahedral", "max_tilt_deg = 2.0\n"), ("sphere", "")]
+    {
         let stack = ON_CARBON
             .replace("srtio3", "pt")
             .replace("surface_energies", &format!("shape = \"{shape}\"\n{more}#"));
         let truth = particles(&stack, 3.5, elements);
         assert_eq!(truth.len(), 3);
-        assert!(truth.iter().all(|p| p.morphology == shape && (0.85..1.35).contains(&p.diameter_nm)));
+        assert!(
+            truth.iter().all(|p| p.morphology == shape && (0.85..1.35).contains(&p.diameter_nm))
+        );
     }
     let tilted = format!("{ON_CARBON}zone_axis = \"[110]\"\nmax_tilt_deg = 4.0\n");
     for particle in particles(&tilted, 3.5, &["Sr", "Ti", "O", "C"]) {
@@ -229,7 +233,11 @@ fn particles_that_cannot_be_are_refused_with_the_rule() {
     let energies = "surface_energies = { \"(111)\" = 1.0, \"(100)\" = 1.19 }";
     let cases = [
         ("along = \"z\"\nbegin_nm = 3.0", "along = \"x\"", "expected along = \"z\""),
-        ("along = \"z\"", "along = \"x\"", "only a stack along z has vacuum before its first layer"),
+        (
+            "along = \"z\"",
+            "along = \"x\"",
+            "only a stack along z has vacuum before its first layer",
+        ),
         (energies, "", "needs the energies of its planes"),
         (energies, "surface_energies = { \"111\" = 1.0 }", "expected a lattice plane"),
         (
@@ -237,14 +245,30 @@ fn particles_that_cannot_be_are_refused_with_the_rule() {
             "surface_energies = { \"(111)\" = 1.0, \"(-111)\" = 1.0 }",
             "equal to another plane of the list",
         ),
-        (energies, "shape = \"sphere\"\nsurface_energies = { \"(111)\" = 1.0 }", "only shape = \"wulff\" has surface energies"),
+        (
+            energies,
+            "shape = \"sphere\"\nsurface_energies = { \"(111)\" = 1.0 }",
+            "only shape = \"wulff\" has surface energies",
+        ),
         (energies, "shape = \"sphere\"", "contact_energy"),
         (energies, "shape = \"cube\"", "expected"),
         ("contact_energy = 0.3", "contact_energy = -1.2", "nothing of the particle is left"),
-        ("contact_plane = \"(001)\"", "contact_plane = \"(011)\"", "encloses 45.00 degrees with the normal of the contact plane"),
+        (
+            "contact_plane = \"(001)\"",
+            "contact_plane = \"(011)\"",
+            "encloses 45.00 degrees with the normal of the contact plane",
+        ),
         ("contact_plane = \"(001)\"", "zone_axis = \"[001]\"", "with a contact_plane"),
-        ("contact_plane", "zone_axis = \"[001]\"\ncontact_plane", "either zone_axis or contact_plane"),
-        ("begin_nm = 3.0", "begin_nm = 0.5", "there are 0.50 nm of vacuum for particles of up to 2.6 nm"),
+        (
+            "contact_plane",
+            "zone_axis = \"[001]\"\ncontact_plane",
+            "either zone_axis or contact_plane",
+        ),
+        (
+            "begin_nm = 3.0",
+            "begin_nm = 0.5",
+            "there are 0.50 nm of vacuum for particles of up to 2.6 nm",
+        ),
         ("begin_nm = 3.0", "begin_nm = 1.5", "nm out of the specimen; raise stack.begin_nm"),
         ("begin_nm = 3.0", "begin_nm = 4.4", "stack.begin_nm = 4.4"),
         ("[2.6, 2.6]", "[2.6, 2.0]", "the least diameter first"),
@@ -254,7 +278,11 @@ fn particles_that_cannot_be_are_refused_with_the_rule() {
         ("positions_nm = [[2.0, 2.0]]", "count = 40", "no place was found for another"),
         ("positions_nm = [[2.0, 2.0]]", "count = 0", "expected 1 to 10000 particles"),
         ("positions_nm", "count = 1\npositions_nm", "leave out one of the two"),
-        ("contact_energy", "side = \"exit\"\ncontact_energy", "give the last layer its thickness_nm"),
+        (
+            "contact_energy",
+            "side = \"exit\"\ncontact_energy",
+            "give the last layer its thickness_nm",
+        ),
     ];
     for (from, to, part) in cases {
         assert!(GOLD_ON_SLAB.contains(from), "{from}");

@@ -9,12 +9,11 @@ use crate::common::{Spots, StandIn, build};
 use crate::specimens::{normal_cdf, signed_distance};
 use ndarray::Array2;
 use stemgen::Result;
-use stemgen::engine::Site;
 use stemgen::imaging::PixelBox;
 use stemgen::io::{GroundTruth, WorldFile};
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
-use stemgen::structure::elements;
+use stemgen::structure::{Site, elements};
 use stemgen::world::BuildOptions;
 
 /// An image of one value; remembers the thermal displacement of the elements that it saw.

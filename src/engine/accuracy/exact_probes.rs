@@ -31,7 +31,7 @@ const NARROW_ANGSTROM: f64 = 15.0;
 const PROBE_STEP: f64 = 0.42;
 
 /// The plans of the exact engine for a scan and for single probes.
-pub struct ExactEngine {
+pub(crate) struct ExactEngine {
     /// Plan for a scan. The scan is interpolated where this needs fewer probes, unless the settings give the probes' distance.
     pub plan: Plan,
     /// Plan that propagates every probe.
@@ -43,7 +43,11 @@ impl ExactEngine {
     ///
     /// # Errors
     /// Errors of [`Plan::new`].
-    pub fn new(settings: &Settings, cell_angstrom: [f64; 3], heights: &[f64]) -> Result<Self> {
+    pub(crate) fn new(
+        settings: &Settings,
+        cell_angstrom: [f64; 3],
+        heights: &[f64],
+    ) -> Result<Self> {
         let [x, y, thickness] = cell_angstrom;
         let width = WIDE_ANGSTROM * relative_size(settings).max(1.0)
             + 2.0 * geometric_radius(settings)
@@ -76,7 +80,7 @@ impl ExactEngine {
     }
 
     /// Name of the engine for messages.
-    pub fn name(&self) -> String {
+    pub(crate) fn name(&self) -> String {
         let settings = &self.plan.settings;
         let name = match (settings.algorithm, settings.probe_box) {
             (Algorithm::Window { width_angstrom }, _) => {
@@ -92,7 +96,7 @@ impl ExactEngine {
     }
 
     /// Nominal operations of this number of probes in one phonon configuration, including the potentials.
-    pub fn flops(&self, scan: &Scan, probes: usize) -> f64 {
+    pub(crate) fn flops(&self, scan: &Scan, probes: usize) -> f64 {
         let cost = Cost::new(&self.each, scan).for_probes(probes);
         cost.nominal_flops() / f64::from(self.each.settings.configurations())
     }
@@ -101,7 +105,7 @@ impl ExactEngine {
     ///
     /// # Errors
     /// Errors of [`simulate()`](super::super::simulate()).
-    pub fn intensities(
+    pub(crate) fn intensities(
         &self,
         sites: &[Site],
         scan: &Scan,

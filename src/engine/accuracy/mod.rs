@@ -6,7 +6,8 @@ mod probe_sample;
 mod settings_choice;
 mod window_table;
 
-pub use exact_probes::ExactEngine;
-pub use settings_choice::{AccuracyFound, TriedWindow, mean_heights, settings_for_accuracy};
+pub(crate) use exact_probes::ExactEngine;
+pub(crate) use settings_choice::mean_heights;
+pub use settings_choice::{AccuracyFound, TriedWindow, settings_for_accuracy};
 pub(super) use window_table::LEAST_INNER_SEMIANGLES;
 pub use window_table::{WindowChoice, window_for};

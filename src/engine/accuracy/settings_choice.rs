@@ -77,12 +77,12 @@ pub struct AccuracyFound {
 
 impl AccuracyFound {
     /// The window that is used, with its error; `None` for the exact engine.
-    pub fn window(&self) -> Option<&TriedWindow> {
+    pub(crate) fn window(&self) -> Option<&TriedWindow> {
         self.tried.last().filter(|_| self.holds)
     }
 
     /// The result of a search without a tried window: the exact engine.
-    pub fn exact(asked_percent: f64, exact: &ExactEngine) -> Self {
+    pub(crate) fn exact(asked_percent: f64, exact: &ExactEngine) -> Self {
         let algorithm = exact.plan.settings.algorithm;
         let (tried, reference) = (Vec::new(), exact.name());
         let (holds, chosen_later) = (false, false);
@@ -132,7 +132,7 @@ fn percent(value: f64) -> String {
 }
 
 /// Chooses settings for the images of a scan whose rms error against the exact engine is at most `accuracy_percent` of the mean image, for
-/// every detector and thickness. The exact engine is [`ExactEngine`] with otherwise equal settings. Probes have norm 1 in a large box in
+/// every detector and thickness. The exact engine is `ExactEngine` with otherwise equal settings. Probes have norm 1 in a large box in
 /// both (see [`ProbeBox`](super::super::settings::ProbeBox)), unless the settings give another box.
 ///
 /// `frames` holds the atoms of each frame; the images of a trajectory are averaged over its frames. The sample is spread over them.
@@ -173,7 +173,7 @@ pub fn settings_for_accuracy(
 
 /// Heights of the atoms of a trajectory for which its slices are made: the means over the frames if all have equally many atoms, else the
 /// heights in the first frame.
-pub fn mean_heights(frames: &[&[Site]]) -> Vec<f64> {
+pub(crate) fn mean_heights(frames: &[&[Site]]) -> Vec<f64> {
     let first = frames.first().copied().unwrap_or_default();
     let alike = frames.iter().all(|f| f.len() == first.len());
     let used = if alike { frames } else { &frames[..1] };

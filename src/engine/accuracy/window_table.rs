@@ -36,7 +36,7 @@ pub struct WindowChoice {
 
 impl WindowChoice {
     /// A warning about a window that was chosen for an error of `accuracy_percent`; `None` within the range of the measurements.
-    pub fn warning(&self, accuracy_percent: f64) -> Option<String> {
+    pub(crate) fn warning(&self, accuracy_percent: f64) -> Option<String> {
         (!self.beyond_measured.is_empty()).then(|| {
             format!(
                 "an error of {accuracy_percent} % was not measured for {}; the window was widened to {:.1} A, which \

@@ -23,7 +23,7 @@ use crate::progress::Progress;
 use crate::setting::Setting;
 use crate::structure::Site;
 use ndarray::{Array5, ArrayView5};
-pub use pattern_cost::PatternCost;
+pub(crate) use pattern_cost::PatternCost;
 use rayon::prelude::*;
 use run::{GroupPath, PatternReader};
 use std::ops::Range;

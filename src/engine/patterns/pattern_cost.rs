@@ -13,7 +13,7 @@ use num_complex::Complex32;
 /// The cost of reading the patterns of a scan from its waves.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
-pub struct PatternCost {
+pub(crate) struct PatternCost {
     /// Operations of all phonon configurations and thicknesses.
     pub flops: f64,
     /// Bytes of the patterns that are in memory at a time.
@@ -23,7 +23,7 @@ pub struct PatternCost {
 
 impl PatternCost {
     /// The cost of all patterns of a scan.
-    pub fn new(plan: &Plan, scan: &Scan, settings: &PatternSettings) -> Self {
+    pub(crate) fn new(plan: &Plan, scan: &Scan, settings: &PatternSettings) -> Self {
         let Grid { points: [nx, ny], .. } = plan.wave_grid;
         let reach = PatternReach::new(plan, &settings.detector, nx);
         let patches = patches(plan, scan);
@@ -53,7 +53,7 @@ impl PatternCost {
     }
 
     /// Memory in bytes of the largest arrays on `threads` threads.
-    pub fn memory_bytes(&self, threads: usize) -> u64 {
+    pub(crate) fn memory_bytes(&self, threads: usize) -> u64 {
         self.held_bytes + self.thread_bytes * threads as u64
     }
 }

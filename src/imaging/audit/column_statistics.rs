@@ -31,7 +31,7 @@ pub struct KindAudit {
 
 /// A column, and its intensity in the two images.
 #[non_exhaustive]
-pub struct ColumnPoint {
+pub(crate) struct ColumnPoint {
     /// Elements that belong there.
     pub kind: String,
     /// Position (x, y) in Angstrom from the first pixel of the region.
@@ -68,7 +68,7 @@ fn kind(sites: &[SpecimenSite], recipe: &Recipe) -> String {
 }
 
 /// Measures the columns inside a region in the two images [row, column] of the compared pixels.
-pub fn column_points(
+pub(crate) fn column_points(
     recipe: &Recipe,
     specimen: &dyn Specimen,
     region: &PixelRect,
@@ -98,7 +98,7 @@ pub fn column_points(
     found
 }
 /// Statistics of the columns of one kind; each column is given with the number of its region.
-pub fn kind_audit(kind: &str, points: &[(usize, &ColumnPoint)]) -> KindAudit {
+pub(crate) fn kind_audit(kind: &str, points: &[(usize, &ColumnPoint)]) -> KindAudit {
     let n = points.len() as f64;
     let mean = |of: &dyn Fn(&ColumnPoint) -> f64| points.iter().map(|p| of(p.1)).sum::<f64>() / n;
     let (a, b) = (mean(&|p| p.ours), mean(&|p| p.exact));

@@ -19,13 +19,13 @@ const EXTENSION: &str = "audit";
 
 /// A folder of audits. Without a folder, nothing is kept.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct KeptAudits {
+pub(crate) struct KeptAudits {
     folder: Option<PathBuf>,
 }
 
 impl KeptAudits {
     /// Keeps audits in a folder, which is made at the first write.
-    pub fn at(folder: PathBuf) -> Self {
+    pub(crate) fn at(folder: PathBuf) -> Self {
         KeptAudits { folder: Some(folder) }
     }
 
@@ -33,7 +33,7 @@ impl KeptAudits {
     ///
     /// # Errors
     /// Errors of [`audit`]. A folder that cannot be written is a warning.
-    pub fn audit(
+    pub(crate) fn audit(
         &self,
         recipe: &Recipe,
         specimen: &dyn Specimen,
@@ -64,7 +64,7 @@ impl KeptAudits {
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn clear(&self) -> Result<()> {
+    pub(crate) fn clear(&self) -> Result<()> {
         let Some(folder) = self.folder.as_ref().filter(|f| f.is_dir()) else { return Ok(()) };
         let fail = |e| Error::io(folder, "read", e);
         for entry in fs::read_dir(folder).map_err(fail)? {

@@ -19,7 +19,7 @@ pub struct PowerBand {
 
 /// Power of the audited images over the power of the exact ones, by bands of spatial frequency, under a Hann window. Each region has both
 /// images, [row, column], with a distance of `step` Angstrom between pixels.
-pub fn power(regions: &[[&Array2<f64>; 2]], step: f64) -> Vec<PowerBand> {
+pub(crate) fn power(regions: &[[&Array2<f64>; 2]], step: f64) -> Vec<PowerBand> {
     let mut sums = vec![[0.0; 2]; BANDS.len() - 1];
     for region in regions {
         for (which, image) in region.iter().enumerate() {

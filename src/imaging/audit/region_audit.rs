@@ -212,14 +212,14 @@ fn stride(options: &AuditOptions, pixel_angstrom: f64) -> usize {
 }
 
 /// Advice for an audit that needs too much memory.
-pub const AUDIT_REMEDY: &str = "the exact simulation that the audit compares with needs most of the memory; use fewer threads, smaller \
+pub(crate) const AUDIT_REMEDY: &str = "the exact simulation that the audit compares with needs most of the memory; use fewer threads, smaller \
     regions, or no audit";
 
 /// The cost of the exact simulations of an audit.
 ///
 /// # Errors
 /// Errors of [`crate::engine::Plan::new`].
-pub fn audit_cost(
+pub(crate) fn audit_cost(
     recipe: &CheckedRecipe,
     specimen: &dyn Specimen,
     options: &AuditOptions,

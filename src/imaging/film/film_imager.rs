@@ -51,7 +51,7 @@ pub struct FilmImager {
 }
 
 /// The settings of the windows of particles, made from the requested `settings`.
-pub fn film_settings(settings: &Settings) -> Settings {
+pub(crate) fn film_settings(settings: &Settings) -> Settings {
     Settings {
         probe_box: Some(ProbeBox::Large),
         probe_step: ProbeStep::Scan,

@@ -23,7 +23,7 @@ use crate::setting::Setting;
 use crate::specimen::{DoseMap, SurfaceLayers};
 
 /// The thickest layer in Angstrom.
-pub const MOST_GROWN_ANGSTROM: f64 = 60.0;
+pub(crate) const MOST_GROWN_ANGSTROM: f64 = 60.0;
 /// Distance in Angstrom from the specimen to its carbon, as for layers that are there from the beginning.
 const CONTACT_ANGSTROM: f64 = 2.0;
 /// Number of the random draw that seeds the film, and number of the layer.

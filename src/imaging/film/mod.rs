@@ -2,10 +2,10 @@
 
 mod block_cache;
 mod film_blocks;
-pub mod film_imager;
+pub(crate) mod film_imager;
 mod film_overview;
 mod film_scene;
-pub mod grown_carbon;
+pub(crate) mod grown_carbon;
 mod particle_blocks;
 mod samples;
-pub mod surface_imager;
+pub(crate) mod surface_imager;

@@ -19,9 +19,9 @@ use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 
 /// Width of the ramps between units. A unit's weight is exp(-d^2 / 2 s): d is the distance to the unit's nearest column in Angstrom, and
 /// this constant is s in square Angstrom. Halfway between columns 2 A apart the ramp is 0.3 A wide.
-pub const RAMPS: f64 = 0.15;
+pub(crate) const RAMPS: f64 = 0.15;
 /// No ramps: a place shows the nearest unit only.
-pub const NO_RAMPS: f64 = 0.0;
+pub(crate) const NO_RAMPS: f64 = 0.0;
 /// Weights below this are left out.
 const LEAST_WEIGHT: f64 = 1e-4;
 /// Distance in Angstrom that counts as much as a difference of 1 in mean atomic number, when a column stands in for another.
@@ -76,7 +76,7 @@ impl Families {
 }
 
 /// The overlap of the units' images: the pixels of a rectangle, and the units that each of them shows.
-pub struct Assembly {
+pub(crate) struct Assembly {
     /// The area in which the columns lie.
     area: Region,
     families: Vec<TurnedFamily>,
@@ -91,7 +91,7 @@ pub struct Assembly {
 impl Assembly {
     /// Assembles `shape` pixels from pixel `first` (row, column) of the full field. A tilted beam is displaced by `way` (Angstrom) at half
     /// thickness, so a pixel shows the columns that the beam meets there.
-    pub fn new(
+    pub(crate) fn new(
         specimen: &dyn Specimen,
         first: [usize; 2],
         shape: [usize; 2],
@@ -110,7 +110,7 @@ impl Assembly {
 
     /// Assembles pixels at any `places` (x, y) in Angstrom of the full field, row by row, all of them in `region`. `ramps` is [`RAMPS`] or
     /// [`NO_RAMPS`].
-    pub fn of_places(
+    pub(crate) fn of_places(
         specimen: &dyn Specimen,
         region: &Region,
         shape: [usize; 2],
@@ -156,7 +156,11 @@ impl Assembly {
     /// Replaces units that the library lacks by the units of nearby columns with the most similar content. Suitable only for pictures whose
     /// pixels are much wider than a column.
     #[must_use]
-    pub fn with_stand_ins(mut self, specimen: &dyn Specimen, library: &ImageLibrary) -> Self {
+    pub(crate) fn with_stand_ins(
+        mut self,
+        specimen: &dyn Specimen,
+        library: &ImageLibrary,
+    ) -> Self {
         let there = self.held_by(library);
         if there.iter().all(|there| *there) {
             return self;
@@ -184,12 +188,12 @@ impl Assembly {
     }
 
     /// Places (x, y) of the pixels in Angstrom of the full field, row by row.
-    pub fn places(&self) -> &[[f64; 2]] {
+    pub(crate) fn places(&self) -> &[[f64; 2]] {
         &self.places
     }
 
     /// The families of the units.
-    pub fn families(&self) -> BTreeSet<TurnedFamily> {
+    pub(crate) fn families(&self) -> BTreeSet<TurnedFamily> {
         self.families.iter().copied().collect()
     }
 
@@ -206,7 +210,7 @@ impl Assembly {
     }
 
     /// The pixels that show units missing in the library: their index, and the weight of the missing units.
-    pub fn missing(&self, library: &ImageLibrary) -> HashMap<usize, f64> {
+    pub(crate) fn missing(&self, library: &ImageLibrary) -> HashMap<usize, f64> {
         let there = self.held_by(library);
         let mut missing = HashMap::new();
         for share in self.shares.iter().filter(|share| !there[share.unit]) {
@@ -216,7 +220,7 @@ impl Assembly {
     }
 
     /// The image on a detector, mean over the first `configurations`. The units that [`Assembly::missing`] reports add nothing.
-    pub fn image(
+    pub(crate) fn image(
         &self,
         (library, detector): (&ImageLibrary, usize),
         kernel: &Kernel,
@@ -232,7 +236,7 @@ impl Assembly {
 
     /// As [`Assembly::image`] on the first detector, but each unit shows the mean over all configurations of its own entry in the library.
     /// [`Assembly::image`] draws different configurations for each unit. Not suitable where the phonons of single columns matter.
-    pub fn overview(&self, library: &ImageLibrary, kernel: &Kernel) -> Array2<f64> {
+    pub(crate) fn overview(&self, library: &ImageLibrary, kernel: &Kernel) -> Array2<f64> {
         let all = library.configurations();
         self.image_of((library, 0), kernel, |cell, tag| cell.own_realisations(tag.entry, all))
     }

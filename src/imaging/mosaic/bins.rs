@@ -1,7 +1,7 @@
 //! Groups of items, and points sorted into square bins.
 
 /// Points sorted into square bins.
-pub struct Bins {
+pub(crate) struct Bins {
     edge: f64,
     /// Index of the first bin along x and y.
     first: [i64; 2],
@@ -14,7 +14,7 @@ pub struct Bins {
 
 impl Bins {
     /// Sorts points (x, y) into bins with this `edge`, in the unit of the points.
-    pub fn new(points: impl Iterator<Item = [f64; 2]>, edge: f64) -> Self {
+    pub(crate) fn new(points: impl Iterator<Item = [f64; 2]>, edge: f64) -> Self {
         let bins: Vec<[i64; 2]> = points.map(|at| bin_of(at, edge)).collect();
         let first = [0, 1].map(|k| bins.iter().map(|bin| bin[k]).min().unwrap_or(0));
         let end = [0, 1].map(|k| bins.iter().map(|bin| bin[k] + 1).max().unwrap_or(0));
@@ -26,12 +26,12 @@ impl Bins {
     }
 
     /// The bin of a place.
-    pub fn bin(&self, at: [f64; 2]) -> [i64; 2] {
+    pub(crate) fn bin(&self, at: [f64; 2]) -> [i64; 2] {
         bin_of(at, self.edge)
     }
 
     /// Indices of the points in a bin, ascending.
-    pub fn of(&self, bin: [i64; 2]) -> &[usize] {
+    pub(crate) fn of(&self, bin: [i64; 2]) -> &[usize] {
         let [x, y] = [0, 1].map(|k| usize::try_from(bin[k] - self.first[k]).unwrap_or(usize::MAX));
         if x >= self.count[0] || y >= self.count[1] {
             return &[];
@@ -47,7 +47,7 @@ fn bin_of(at: [f64; 2], edge: f64) -> [i64; 2] {
 
 /// Sorts items into groups. Returns the start of each group in a list with the end of the last, and the list: the items' indices, ascending
 /// in each group.
-pub fn grouped(
+pub(crate) fn grouped(
     groups: usize,
     of_item: impl Iterator<Item = usize> + Clone,
 ) -> (Vec<usize>, Vec<usize>) {

@@ -25,7 +25,7 @@ const DRAWS_VERSION: u32 = 7;
 const SURROUNDINGS_DRAW: u32 = 1 << 20;
 
 /// Library cells of one family, and their images.
-pub struct CellImages {
+pub(crate) struct CellImages {
     /// The geometry.
     pub library_cell: LibraryCell,
     /// Settings of the engine. The optics are turned into the frame of the library cell.
@@ -54,7 +54,7 @@ pub struct CellImages {
 
 /// One configuration of one unit: it identifies an image and the displacements of its atoms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Realisation {
+pub(crate) struct Realisation {
     /// Index of the library cell.
     pub library_cell: usize,
     /// Index of the unit in the library cell.
@@ -108,7 +108,7 @@ impl CellImages {
     }
 
     /// Number of probes of one image.
-    pub fn probes(&self) -> usize {
+    pub(crate) fn probes(&self) -> usize {
         self.scan.len()
     }
 
@@ -137,7 +137,7 @@ impl CellImages {
     }
 
     /// The image of one configuration of a library cell on a detector, [row, column] = [y, x], fractions of the beam.
-    pub fn image(
+    pub(crate) fn image(
         &self,
         detector: usize,
         library_cell: usize,
@@ -147,12 +147,12 @@ impl CellImages {
     }
 
     /// The mean over all configurations of a library cell on a detector.
-    pub fn mean(&self, detector: usize, library_cell: usize) -> &Array2<f32> {
+    pub(crate) fn mean(&self, detector: usize, library_cell: usize) -> &Array2<f32> {
         &self.means[detector][library_cell]
     }
 
     /// Number of configurations of a library cell.
-    pub fn configurations(&self, library_cell: usize) -> usize {
+    pub(crate) fn configurations(&self, library_cell: usize) -> usize {
         self.images[0][library_cell].len()
     }
 
@@ -163,14 +163,14 @@ impl CellImages {
     }
 
     /// Position of a unit in samples (x, y).
-    pub fn position(&self, unit: usize) -> [f64; 2] {
+    pub(crate) fn position(&self, unit: usize) -> [f64; 2] {
         let centre = self.library_cell.units[unit].centre;
         [0, 1].map(|k| (centre[k] - self.library_cell.scan_origin[k]) / self.step_angstrom[k])
     }
 
     /// The configurations whose mean a unit of a world shows; `id` is the unit's number. For a unit without defects they are drawn from all
     /// library units of its kind without defects. Any other unit shows the configurations of its entry.
-    pub fn realisations(
+    pub(crate) fn realisations(
         &self,
         entry: PatternIndex,
         (seed, id): (u64, u64),
@@ -202,14 +202,23 @@ impl CellImages {
     }
 
     /// The first configurations of an entry's own unit.
-    pub fn own_realisations(&self, entry: PatternIndex, configurations: usize) -> Vec<Realisation> {
+    pub(crate) fn own_realisations(
+        &self,
+        entry: PatternIndex,
+        configurations: usize,
+    ) -> Vec<Realisation> {
         let (library_cell, unit) = self.locate(entry.kind, entry.cell);
         let realisation = |configuration| Realisation { library_cell, unit, configuration };
         (0..configurations).map(realisation).collect()
     }
 
     /// Displacement of site `site` of column `member` of a unit, in standard deviations along the axes of the library cell.
-    pub fn displacement(&self, realisation: Realisation, member: usize, site: usize) -> [f64; 3] {
+    pub(crate) fn displacement(
+        &self,
+        realisation: Realisation,
+        member: usize,
+        site: usize,
+    ) -> [f64; 3] {
         let key = unit_key(realisation.unit, member, site);
         rng::normal3(
             self.seeds[realisation.library_cell],

@@ -21,7 +21,7 @@ use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::unit_tag::TurnedFamily;
 
 /// An image that has to be simulated.
-pub struct MissingImage {
+pub(crate) struct MissingImage {
     /// Number of probes.
     pub probes: usize,
     /// Bytes of the image's file.
@@ -30,7 +30,7 @@ pub struct MissingImage {
 
 /// All library cells that a world needs.
 #[derive(Clone)]
-pub struct ImageLibrary {
+pub(crate) struct ImageLibrary {
     cells: BTreeMap<TurnedFamily, Arc<CellImages>>,
     settings: Settings,
     /// Whether the optics are round. Then an image does not change when its cell is turned, and turned library cells share it.
@@ -44,7 +44,7 @@ impl ImageLibrary {
     ///
     /// # Errors
     /// [`Error::Invalid`] for a family that the specimen lacks.
-    pub fn new(
+    pub(crate) fn new(
         specimen: &dyn Specimen,
         families: impl Iterator<Item = TurnedFamily>,
         settings: &Settings,
@@ -59,7 +59,7 @@ impl ImageLibrary {
     }
 
     /// A library without library cells.
-    pub fn empty(settings: &Settings) -> Self {
+    pub(crate) fn empty(settings: &Settings) -> Self {
         ImageLibrary {
             cells: BTreeMap::new(),
             settings: Settings { phonons: None, ..settings.clone() },
@@ -102,7 +102,7 @@ impl ImageLibrary {
     }
 
     /// The families whose library cells are not in the library.
-    pub fn unknown(&self, families: BTreeSet<TurnedFamily>) -> Vec<TurnedFamily> {
+    pub(crate) fn unknown(&self, families: BTreeSet<TurnedFamily>) -> Vec<TurnedFamily> {
         let shared: BTreeSet<TurnedFamily> = families.into_iter().map(|f| self.shared(f)).collect();
         shared.into_iter().filter(|f| !self.cells.contains_key(f)).collect()
     }
@@ -111,7 +111,7 @@ impl ImageLibrary {
     ///
     /// # Errors
     /// As [`ImageLibrary::new`] and [`ImageLibrary::fill`].
-    pub fn add(
+    pub(crate) fn add(
         &mut self,
         (specimen, families): (&dyn Specimen, &[TurnedFamily]),
         shared: &SharedCells,
@@ -148,30 +148,30 @@ impl ImageLibrary {
     }
 
     /// Adds the library cells of another library of this specimen.
-    pub fn merge(&mut self, other: &Self) {
+    pub(crate) fn merge(&mut self, other: &Self) {
         for (family, cell) in &other.cells {
             self.cells.entry(*family).or_insert_with(|| Arc::clone(cell));
         }
     }
 
     /// The library cells of a family.
-    pub fn cell_images(&self, family: TurnedFamily) -> Option<&CellImages> {
+    pub(crate) fn cell_images(&self, family: TurnedFamily) -> Option<&CellImages> {
         self.cells.get(&self.shared(family)).map(|cell| &**cell)
     }
 
     /// Phonon configurations of each library cell.
-    pub fn configurations(&self) -> usize {
+    pub(crate) fn configurations(&self) -> usize {
         self.configurations
     }
 
     /// Number of probes of all images.
-    pub fn probes(&self) -> usize {
+    pub(crate) fn probes(&self) -> usize {
         let of = |s: &Arc<CellImages>| s.probes() * s.library_cell.count * self.configurations;
         self.cells.values().map(of).sum()
     }
 
     /// Number of probes of the images that the supplied library lacks.
-    pub fn probes_not_supplied(&self, material: &str, sigma: &dyn Fn(u8) -> f64) -> usize {
+    pub(crate) fn probes_not_supplied(&self, material: &str, sigma: &dyn Fn(u8) -> f64) -> usize {
         let of = |cell: &Arc<CellImages>| {
             let new = |image: &[usize; 2]| !is_supplied(material, &cell.key(sigma, *image));
             cell.probes() * images_of(cell, self.configurations).filter(new).count()
@@ -183,14 +183,14 @@ impl ImageLibrary {
     ///
     /// # Errors
     /// Errors of [`Plan::new`].
-    pub fn largest_plan(&self) -> Result<Option<PlannedScan>> {
+    pub(crate) fn largest_plan(&self) -> Result<Option<PlannedScan>> {
         let largest = self.cells.values().max_by_key(|s| s.probes());
         let plan = |s: &Arc<CellImages>| Ok(PlannedScan::new(s.plan()?, s.scan, None));
         largest.map(plan).transpose()
     }
 
     /// Memory of all images and their means in bytes.
-    pub fn image_bytes(&self) -> u64 {
+    pub(crate) fn image_bytes(&self) -> u64 {
         let of = |s: &Arc<CellImages>| {
             let images = s.library_cell.count * (self.configurations + 1) * self.detectors;
             s.shape[0] * s.shape[1] * images * 4
@@ -199,7 +199,7 @@ impl ImageLibrary {
     }
 
     /// Number of images.
-    pub fn image_count(&self) -> usize {
+    pub(crate) fn image_count(&self) -> usize {
         self.cells.values().map(|s| s.library_cell.count * self.configurations).sum()
     }
 
@@ -217,7 +217,7 @@ impl ImageLibrary {
     }
 
     /// The images that the cache lacks.
-    pub fn missing(
+    pub(crate) fn missing(
         &self,
         material: &str,
         sigma: &dyn Fn(u8) -> f64,
@@ -231,7 +231,7 @@ impl ImageLibrary {
     }
 
     /// The number of images that the cache lacks, grouped by their difference from the images that it has.
-    pub fn new_images(
+    pub(crate) fn new_images(
         &self,
         material: &str,
         sigma: &dyn Fn(u8) -> f64,
@@ -252,7 +252,7 @@ impl ImageLibrary {
     ///
     /// # Errors
     /// Errors of the engine, [`Error::Interrupted`]. A cache that cannot be written is a warning.
-    pub fn fill(
+    pub(crate) fn fill(
         &mut self,
         material: &str,
         sigma: &dyn Fn(u8) -> f64,
@@ -280,7 +280,7 @@ impl ImageLibrary {
     ///
     /// # Errors
     /// Errors of the engine and of the cache, [`Error::Interrupted`].
-    pub fn fill_part(
+    pub(crate) fn fill_part(
         &self,
         shard: Shard,
         material: &str,
@@ -321,7 +321,7 @@ impl ImageLibrary {
     }
 
     /// The names of all images in a cache.
-    pub fn keys(&self, sigma: &dyn Fn(u8) -> f64) -> Vec<String> {
+    pub(crate) fn keys(&self, sigma: &dyn Fn(u8) -> f64) -> Vec<String> {
         let of = |cell: &Arc<CellImages>| {
             let images = images_of(cell, self.configurations);
             images.map(|image| cell.key(sigma, image)).collect::<Vec<_>>()
@@ -333,7 +333,7 @@ impl ImageLibrary {
     ///
     /// # Errors
     /// Errors of the engine, [`Error::Interrupted`].
-    pub fn recomputed(
+    pub(crate) fn recomputed(
         &self,
         (count, seed): (usize, u64),
         material: &str,

@@ -13,7 +13,7 @@ use crate::structure::elements;
 
 /// Describes an image of the library, in words and digests. It is stored in the image's file in the cache.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ImageNote {
+pub(crate) struct ImageNote {
     /// Version of the numerics.
     pub numerics: u32,
     /// Digest of the settings of the engine.
@@ -42,7 +42,7 @@ pub struct NewImages {
 
 impl NewImages {
     /// A number of images, and why they are new.
-    pub fn new(images: usize, why: String) -> Self {
+    pub(crate) fn new(images: usize, why: String) -> Self {
         NewImages { images, why }
     }
 }
@@ -50,7 +50,7 @@ impl NewImages {
 impl ImageNote {
     /// Describes an image (library cell, configuration) of library cells with the elements `numbers`; `sigma` gives the standard deviation
     /// of an element's displacements in Angstrom.
-    pub fn new(
+    pub(crate) fn new(
         library_cell: &LibraryCell,
         numbers: &[u8],
         (settings, sigma): (&Settings, &dyn Fn(u8) -> f64),
@@ -69,7 +69,7 @@ impl ImageNote {
     }
 
     /// The difference between this image and the most similar of the kept ones, in words.
-    pub fn difference(&self, kept: &[ImageNote]) -> String {
+    pub(crate) fn difference(&self, kept: &[ImageNote]) -> String {
         let Some((_, nearest)) = kept.iter().map(|k| (self.likeness(k), k)).max_by_key(|n| n.0)
         else {
             return "no image of this material is kept".into();

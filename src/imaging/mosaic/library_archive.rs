@@ -61,7 +61,7 @@ struct Entry<'a> {
 
 /// An archive in memory. Its images are unpacked one at a time.
 #[derive(Debug)]
-pub struct Archive {
+pub(crate) struct Archive {
     bytes: Vec<u8>,
     /// The packed bytes of each image and its unpacked size, by material and key.
     images: BTreeMap<(String, String), (Range<usize>, u64)>,
@@ -72,7 +72,7 @@ impl Archive {
     ///
     /// # Errors
     /// [`Error::Parse`] for a file that is no archive, is damaged, or is of another version of the numerics; [`Error::Io`].
-    pub fn open(path: &Path) -> Result<Self> {
+    pub(crate) fn open(path: &Path) -> Result<Self> {
         let bytes = whole_file::read(path, MOST_ARCHIVE_BYTES)?;
         let refused = |message: String| Error::Parse { path: path.to_owned(), line: 0, message };
         let place = |entry: Entry<'_>| {
@@ -85,12 +85,12 @@ impl Archive {
     }
 
     /// Materials and keys of the images.
-    pub fn names(&self) -> impl Iterator<Item = (&str, &str)> {
+    pub(crate) fn names(&self) -> impl Iterator<Item = (&str, &str)> {
         self.images.keys().map(|(material, key)| (material.as_str(), key.as_str()))
     }
 
     /// Whether the archive holds an image.
-    pub fn has(&self, material: &str, key: &str) -> bool {
+    pub(crate) fn has(&self, material: &str, key: &str) -> bool {
         self.images.contains_key(&(material.to_owned(), key.to_owned()))
     }
 
@@ -98,7 +98,11 @@ impl Archive {
     ///
     /// # Errors
     /// The fault of the image, in words, if the archive was written with a damaged one.
-    pub fn file(&self, material: &str, key: &str) -> Option<std::result::Result<Vec<u8>, String>> {
+    pub(crate) fn file(
+        &self,
+        material: &str,
+        key: &str,
+    ) -> Option<std::result::Result<Vec<u8>, String>> {
         let ((material, key), (place, image_bytes)) =
             self.images.get_key_value(&(material.to_owned(), key.to_owned()))?;
         let packed = &self.bytes[place.clone()];
@@ -106,7 +110,7 @@ impl Archive {
     }
 
     /// The images by material, with their size in a cache.
-    pub fn holdings(&self) -> Vec<Holding> {
+    pub(crate) fn holdings(&self) -> Vec<Holding> {
         let mut materials = Tally::default();
         for ((material, _), (_, image_bytes)) in &self.images {
             materials.add(material, *image_bytes);

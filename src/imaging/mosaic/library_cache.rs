@@ -18,7 +18,7 @@ use crate::progress::Progress;
 /// Extension of the images' files. It dates from before library cells had their name.
 const EXTENSION: &str = "sheet";
 /// Environment variable that names another folder for the cache.
-pub const CACHE_VARIABLE: &str = "STEMGEN_CACHE";
+pub(crate) const CACHE_VARIABLE: &str = "STEMGEN_CACHE";
 
 /// Bytes of a file besides its values, rounded up to blocks of the disk.
 const FILE_BYTES: u64 = 8192;
@@ -117,12 +117,12 @@ impl Cache {
 
     /// Sets another folder for images that cannot be written to the cache's folder, or for a cache without a folder.
     #[must_use]
-    pub fn with_fallback(self, folder: PathBuf) -> Self {
+    pub(crate) fn with_fallback(self, folder: PathBuf) -> Self {
         Cache { fallback: Some(folder), ..self }
     }
 
     /// Size on disk of an image of this shape (rows, columns) in bytes, rounded up.
-    pub fn file_bytes([rows, columns]: [usize; 2]) -> u64 {
+    pub(crate) fn file_bytes([rows, columns]: [usize; 2]) -> u64 {
         4 * (rows * columns) as u64 + FILE_BYTES
     }
 
@@ -137,7 +137,7 @@ impl Cache {
     }
 
     /// The image named `key`, [row, column], if it is there, whole, and of this shape (rows, columns). Warns of a file that cannot be used.
-    pub fn load(
+    pub(crate) fn load(
         &self,
         material: &str,
         key: &str,
@@ -170,7 +170,7 @@ impl Cache {
     }
 
     /// Whether there is a file for the image named `key`. Only [`Cache::load`] finds out whether it can be used.
-    pub fn has(&self, material: &str, key: &str) -> bool {
+    pub(crate) fn has(&self, material: &str, key: &str) -> bool {
         #[cfg(feature = "hdf5")]
         if self.supplied.as_ref().is_some_and(|s| s.has(material, key)) {
             return true;
@@ -182,7 +182,7 @@ impl Cache {
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn files(&self, material: &str) -> Result<Vec<PathBuf>> {
+    pub(crate) fn files(&self, material: &str) -> Result<Vec<PathBuf>> {
         self.of(material).map_or(Ok(Vec::new()), |store| Ok(store.files()?.arrays))
     }
 
@@ -226,7 +226,7 @@ impl Cache {
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Invalid`] for a cache without a folder.
-    pub fn add(&self, material: &str, key: &str, file: &[u8]) -> Result<bool> {
+    pub(crate) fn add(&self, material: &str, key: &str, file: &[u8]) -> Result<bool> {
         let Some(store) = self.of(material) else {
             let expected =
                 "the cache has no folder; name one in the environment variable STEMGEN_CACHE";
@@ -236,7 +236,7 @@ impl Cache {
     }
 
     /// The notes of all images of a material.
-    pub fn notes(&self, material: &str) -> Vec<String> {
+    pub(crate) fn notes(&self, material: &str) -> Vec<String> {
         #[allow(unused_mut)]
         let mut notes = self.of(material).map(|store| store.notes()).unwrap_or_default();
         #[cfg(feature = "hdf5")]
@@ -248,7 +248,13 @@ impl Cache {
     ///
     /// # Errors
     /// [`Error::Io`] of the folder. The world can be built without the cache.
-    pub fn save(&self, material: &str, key: &str, note: &str, image: &Array2<f32>) -> Result<()> {
+    pub(crate) fn save(
+        &self,
+        material: &str,
+        key: &str,
+        note: &str,
+        image: &Array2<f32>,
+    ) -> Result<()> {
         let mut places = self.places(material).into_iter();
         let Some(first) = places.next() else { return Ok(()) };
         first.save(key, key, note, image).inspect_err(|_| {

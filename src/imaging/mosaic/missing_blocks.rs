@@ -5,14 +5,14 @@ use std::collections::{BTreeMap, HashMap};
 use crate::imaging::pixels::PixelRect;
 
 /// Edge in pixels of the blocks in which pixels for direct simulation are gathered.
-pub const BLOCK_PX: usize = 48;
+pub(crate) const BLOCK_PX: usize = 48;
 /// Edge of these blocks in Angstrom where pixels are coarse: a probe takes equally long for coarse and fine pixels.
-pub const BLOCK_ANGSTROM: f64 = 8.0;
+pub(crate) const BLOCK_ANGSTROM: f64 = 8.0;
 /// Pixels (indices in the rectangle of `shape` at `first`), and the weight of the units missing there.
-pub type Weighted = Vec<(usize, f64)>;
+pub(crate) type Weighted = Vec<(usize, f64)>;
 
 /// Gathers pixels into the smallest rectangles within blocks of `edge_px` pixels of the full field.
-pub fn blocks(
+pub(crate) fn blocks(
     missing: &HashMap<usize, f64>,
     first: [usize; 2],
     shape: [usize; 2],

@@ -8,19 +8,19 @@
 //!
 //! In each phonon configuration the world is a definite set of atoms ([`super::displaced_atoms`]), which any engine can simulate again.
 
-pub mod assembly;
-pub mod bins;
-pub mod cell_images;
-pub mod image_library;
-pub mod image_note;
+mod assembly;
+mod bins;
+mod cell_images;
+pub(crate) mod image_library;
+pub(crate) mod image_note;
 #[cfg(feature = "hdf5")]
 pub mod library_archive;
-pub mod library_cache;
-pub mod missing_blocks;
-pub mod mosaic_cost;
-pub mod mosaic_imager;
-pub mod shared_cells;
+pub(crate) mod library_cache;
+mod missing_blocks;
+pub(crate) mod mosaic_cost;
+pub(crate) mod mosaic_imager;
+pub(crate) mod shared_cells;
 pub mod supplied_images;
 #[cfg(feature = "hdf5")]
-pub mod supplied_library;
-pub mod survey;
+pub(crate) mod supplied_library;
+pub(crate) mod survey;

@@ -32,7 +32,7 @@ pub struct MosaicCost {
 impl MosaicCost {
     /// Whether the errors of the mosaic are known. They are if all images are in the supplied library and nothing lies on the faces of the
     /// specimen.
-    pub fn is_known(&self, recipe: &CheckedRecipe) -> bool {
+    pub(crate) fn is_known(&self, recipe: &CheckedRecipe) -> bool {
         self.supplied && recipe.surface.is_none()
     }
 }

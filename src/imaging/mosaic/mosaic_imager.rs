@@ -93,7 +93,7 @@ impl MosaicImager {
     ///
     /// # Errors
     /// Invalid settings.
-    pub fn growing(
+    pub(crate) fn growing(
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
         simulator: Simulator,
@@ -158,7 +158,7 @@ impl MosaicImager {
     }
 
     /// Whether the images that the supplied library lacks need clearly fewer probes than the field.
-    pub fn pays(&self) -> bool {
+    pub(crate) fn pays(&self) -> bool {
         let [rows, columns] = self.recipe.field.pixels(self.recipe.field.built_grid());
         let (tagged, untagged) = (self.survey.tagged, self.survey.untagged);
         let all = (tagged + untagged).max(1) as f64;
@@ -173,7 +173,7 @@ impl MosaicImager {
     }
 
     /// As [`MosaicCost::is_known`].
-    pub fn is_known(&self) -> bool {
+    pub(crate) fn is_known(&self) -> bool {
         self.is_supplied() && self.recipe.surface.is_none()
     }
 

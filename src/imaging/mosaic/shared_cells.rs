@@ -12,7 +12,7 @@ use crate::specimen::units::unit_tag::TurnedFamily;
 
 /// Library cells and their images, shared by the libraries of several specimens, for example of one recipe with different seeds.
 #[derive(Default)]
-pub struct SharedCells {
+pub(crate) struct SharedCells {
     /// Filled cells, by a digest of everything that decides their images.
     filled: MadeOnce<String, CellImages>,
     /// Filled cells by family, so that they are found without the digest, which takes long to make.

@@ -1,7 +1,7 @@
 //! The list of supplied images, independent of the files on this machine.
 //!
 //! The method by which a field is imaged must not depend on the contents of a disk. So the program contains the names of the images of its
-//! library (`library/`, [`super::supplied_library`]) as digests of eight bytes each, ascending.
+//! library (`library/`, `supplied_library`) as digests of eight bytes each, ascending.
 
 use sha2::{Digest, Sha256};
 
@@ -15,6 +15,6 @@ pub fn digest(material: &str, key: &str) -> [u8; 8] {
 }
 
 /// Whether the image of a material with this name in a cache is in the supplied library.
-pub fn is_supplied(material: &str, key: &str) -> bool {
+pub(crate) fn is_supplied(material: &str, key: &str) -> bool {
     DIGESTS.as_chunks().0.binary_search(&digest(material, key)).is_ok()
 }

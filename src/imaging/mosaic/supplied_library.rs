@@ -15,7 +15,7 @@ use crate::files::array_store;
 use crate::progress::Progress;
 
 /// Environment variable that names another folder with libraries; empty for none.
-pub const LIBRARY_VARIABLE: &str = "STEMGEN_LIBRARY";
+pub(crate) const LIBRARY_VARIABLE: &str = "STEMGEN_LIBRARY";
 const EXTENSION: &str = "stemlib";
 
 /// A folder of archives that are only read.

@@ -10,7 +10,7 @@ use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::TurnedFamily;
 
 /// Units that reach into the field lie at most this far outside it, in nm.
-pub const BEYOND_NM: f64 = 0.6;
+pub(crate) const BEYOND_NM: f64 = 0.6;
 /// Width of the stripes that are surveyed one after the other, in nm.
 const STRIPE_NM: f64 = 2.5;
 
@@ -26,7 +26,7 @@ pub struct FieldSurvey {
 }
 
 /// Surveys all columns of the built part of a field.
-pub fn survey(specimen: &dyn Specimen, field: &Field) -> FieldSurvey {
+pub(crate) fn survey(specimen: &dyn Specimen, field: &Field) -> FieldSurvey {
     let area = field.built_region().grown(BEYOND_NM);
     let count = ((area.y[1] - area.y[0]) / STRIPE_NM).ceil().max(1.0) as usize;
     let edge = |n: usize| area.y[0] + (area.y[1] - area.y[0]) * n as f64 / count as f64;

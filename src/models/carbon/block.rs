@@ -1,6 +1,6 @@
 //! The periodic block of amorphous carbon that is installed with the program.
 //!
-//! It was made by `structures/amorphous_carbon.rs` ([`super::melt`]). Positions are stored as sixteen-bit fractions of the edge,
+//! It was made by `structures/amorphous_carbon.rs` (`melt`). Positions are stored as sixteen-bit fractions of the edge,
 //! little-endian, three for each atom: steps of 0.001 A.
 
 use std::sync::LazyLock;
@@ -17,7 +17,7 @@ pub const DENSITY: f64 = 2.0;
 pub const BOND: f64 = 1.85;
 
 /// Returns the number of atoms per square nm of a film of this thickness.
-pub fn atoms_per_nm2(thickness_nm: f64) -> f64 {
+pub(crate) fn atoms_per_nm2(thickness_nm: f64) -> f64 {
     1e3 * DENSITY * ATOMS_PER_CUBIC_ANGSTROM * thickness_nm
 }
 
@@ -43,7 +43,7 @@ pub fn encode(network: &Network) -> Vec<u8> {
 }
 
 /// Decodes the bytes that [`encode`] made.
-pub fn decode(bytes: &[u8]) -> Network {
+pub(crate) fn decode(bytes: &[u8]) -> Network {
     let value = |b: &[u8]| f64::from(u16::from_le_bytes([b[0], b[1]])) * (EDGE_ANGSTROM / STEPS);
     let atom = |b: &[u8]| [value(&b[0..2]), value(&b[2..4]), value(&b[4..6])];
     let positions = bytes.chunks_exact(6).map(atom).collect();
@@ -54,7 +54,7 @@ pub fn decode(bytes: &[u8]) -> Network {
 ///
 /// Its atoms lie between `bottom` and `bottom + thickness`, with z counted from `bottom`. Atoms that the cut leaves with fewer than two
 /// bonds are left out.
-pub fn slab(bottom: f64, thickness: f64) -> Vec<[f64; 3]> {
+pub(crate) fn slab(bottom: f64, thickness: f64) -> Vec<[f64; 3]> {
     let (network, bonds) = &*BLOCK;
     let wrap = |v: f64| v - EDGE_ANGSTROM * (v / EDGE_ANGSTROM).floor();
     let z: Vec<f64> = network.positions.iter().map(|p| wrap(p[2] - bottom)).collect();

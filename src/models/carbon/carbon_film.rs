@@ -84,7 +84,7 @@ struct Kept {
 }
 
 /// A rectangle `[[x0, x1], [y0, y1]]` in Angstrom.
-pub type Rectangle = [[f64; 2]; 2];
+pub(crate) type Rectangle = [[f64; 2]; 2];
 
 /// Converts x and y to coordinates in which the folded cuts run along the beam: shifted to and fro with the height.
 pub fn unfolded(p: &Vec3) -> [f64; 2] {

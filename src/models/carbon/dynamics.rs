@@ -22,7 +22,7 @@ const PARTS: usize = 4;
 /// Roles of the atoms of a network: the first `mobile` ones move, and the half bonds of the first `active` ones count; the other atoms only
 /// affect the bond orders of these.
 #[derive(Debug, Clone, Copy)]
-pub struct Roles {
+pub(crate) struct Roles {
     /// Number of atoms that move.
     pub mobile: usize,
     /// Number of atoms, the mobile ones included, whose bonds depend on the positions of the mobile ones.
@@ -86,7 +86,7 @@ impl<'a> Mover<'a> {
 /// Moves atoms downhill by at most `steps` steps, until no force exceeds `tolerance` eV/A. Returns the greatest remaining force.
 ///
 /// FIRE: E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006).
-pub fn relax(network: &mut Network, roles: Roles, steps: usize, tolerance: f64) -> f64 {
+pub(crate) fn relax(network: &mut Network, roles: Roles, steps: usize, tolerance: f64) -> f64 {
     const LONGEST_STEP: f64 = 0.15;
     let mut mover = Mover::new(network, roles);
     let mut velocities = vec![[0.0; 3]; roles.mobile];
@@ -126,7 +126,7 @@ pub fn relax(network: &mut Network, roles: Roles, steps: usize, tolerance: f64) 
 
 /// Runs molecular dynamics under a thermostat that follows `temperature(step)` in K, with the time step `femtoseconds`. Velocities start
 /// from random numbers of `seed`; `velocities` passes them to the next call.
-pub fn heat(
+pub(crate) fn heat(
     network: &mut Network,
     roles: Roles,
     velocities: &mut Vec<Vec3>,

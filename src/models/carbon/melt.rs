@@ -9,7 +9,7 @@ use super::network::Network;
 use crate::rng::{Purpose, words};
 
 /// Atoms per A^3 of carbon at 1 g/cm3.
-pub const ATOMS_PER_CUBIC_ANGSTROM: f64 = 0.602_214_076 / 12.011;
+pub(crate) const ATOMS_PER_CUBIC_ANGSTROM: f64 = 0.602_214_076 / 12.011;
 
 /// Temperatures in K of the melt and of the annealed solid, and the time step in fs.
 const MELT_K: f64 = 6000.0;

@@ -5,7 +5,7 @@ use crate::structure::for_each_pair;
 use crate::structure::{Atom, Structure};
 
 /// Atomic number of carbon.
-pub const CARBON: u8 = 6;
+pub(crate) const CARBON: u8 = 6;
 
 /// Atoms in Angstrom, in a box that may be periodic.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,7 +33,7 @@ impl Network {
     }
 
     /// Moves every atom into the box.
-    pub fn wrap(&mut self) {
+    pub(crate) fn wrap(&mut self) {
         for p in &mut self.positions {
             for k in 0..3 {
                 if self.period[k].is_finite() {

@@ -134,11 +134,7 @@ pub fn volume_per_atom(crystal: &Structure) -> f64 {
 /// its atoms, which keep z of their Z bonds, divided by the number of atoms to the power 2/3 (the second-moment approximation of tight
 /// binding, F. Ducastelle, J. Phys. (Paris) 31, 1055 (1970)). 64 places in the cell and the places of the atoms are tried. Then atoms that
 /// keep less than a third of their bonds are left out, as often as there are any.
-pub fn crystal_particle(
-    crystal: &Structure,
-    body: &ParticleBody,
-    volume: f64,
-) -> Vec<(Vec3, u8)> {
+pub fn crystal_particle(crystal: &Structure, body: &ParticleBody, volume: f64) -> Vec<(Vec3, u8)> {
     let wanted = volume / volume_per_atom(crystal);
     let off = |atoms: &[(Vec3, u8)]| (atoms.len() as f64 / wanted - 1.0).abs();
     let (mut size, mut best) = (1.0, Vec::new());

@@ -160,7 +160,8 @@ mod tests {
 
     #[test]
     fn volumes_of_simple_forms_are_known() {
-        let near = |a: Option<f64>, b: f64| assert!((a.unwrap() / b - 1.0).abs() < 1e-9, "{a:?} {b}");
+        let near =
+            |a: Option<f64>, b: f64| assert!((a.unwrap() / b - 1.0).abs() < 1e-9, "{a:?} {b}");
         near(wulff("pt", &[([1, 0, 0], 1.0)]).volume(), 8.0);
         // A regular octahedron of inradius r has the volume 4 sqrt(3) r^3.
         near(wulff("pt", &[([1, 1, 1], 1.0)]).volume(), 4.0 * 3f64.sqrt());

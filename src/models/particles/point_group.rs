@@ -59,9 +59,10 @@ fn keeps_atoms(crystal: &Structure, to_fraction: &Mat3, matrix: &Mat3) -> bool {
     };
     atoms.iter().filter(|atom| atom.number == first.number).any(|target| {
         let shift = subtract(target.position, start);
-        atoms.iter().zip(&turned).all(|(atom, at)| {
-            same(std::array::from_fn(|k| at[k] + shift[k]), atom.number)
-        })
+        atoms
+            .iter()
+            .zip(&turned)
+            .all(|(atom, at)| same(std::array::from_fn(|k| at[k] + shift[k]), atom.number))
     })
 }
 

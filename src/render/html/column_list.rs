@@ -9,8 +9,8 @@ use serde::Serialize;
 
 use super::blobs::Blobs;
 use crate::error::Result;
-use crate::io::schema::{CompositionText, atom_type};
-use crate::io::{WorldColumn, WorldFile};
+use crate::io::schema::CompositionText;
+use crate::io::{WorldColumn, WorldFile, atom_type};
 
 /// Edge of a cell in nm.
 const CELL: f64 = 4.0;

@@ -9,7 +9,7 @@ use super::blobs::Blobs;
 use super::{Page, PagePart, STYLE, colormaps};
 use crate::detect::PixelatedDetector;
 use crate::error::{Error, Result};
-use crate::io::pattern_file::PatternHeader;
+use crate::io::PatternHeader;
 use crate::progress::Progress;
 use crate::render::enlarge::check_finite;
 use crate::setting::Setting;

@@ -19,8 +19,8 @@ mod stack;
 mod world;
 
 pub use cube::CubePage;
-pub use stack::{ImageOfStack, StackPage};
-pub use world::WorldPage;
+pub(crate) use stack::{ImageOfStack, StackPage};
+pub(crate) use world::WorldPage;
 
 use std::path::Path;
 

@@ -13,7 +13,7 @@ use crate::setting::Setting;
 
 /// Images of one detector.
 #[derive(Debug, Clone)]
-pub struct ImageOfStack<'a> {
+pub(crate) struct ImageOfStack<'a> {
     /// Name of the detector.
     pub name: &'a str,
     /// What the values are.
@@ -24,7 +24,7 @@ pub struct ImageOfStack<'a> {
 
 /// Images of one scan.
 #[derive(Debug, Clone)]
-pub struct StackPage<'a> {
+pub(crate) struct StackPage<'a> {
     /// Name of the structure.
     pub title: String,
     /// Names and values to be read by people.
@@ -44,7 +44,7 @@ impl StackPage<'_> {
     ///
     /// # Errors
     /// [`Error::Invalid`] for no image, images of different sizes, or a value that is not finite.
-    pub fn page(&self) -> Result<Page> {
+    pub(crate) fn page(&self) -> Result<Page> {
         let Some(first) = self.images.first() else {
             return Err(Error::invalid(Setting::Images, 0, "expected at least one"));
         };

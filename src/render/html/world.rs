@@ -16,7 +16,7 @@ use crate::setting::Setting;
 
 /// What a world's page shows at first.
 #[derive(Debug, Clone)]
-pub struct WorldPage {
+pub(crate) struct WorldPage {
     /// Name of the world.
     pub title: String,
     /// Colours.
@@ -36,7 +36,7 @@ impl WorldPage {
     ///
     /// # Errors
     /// Errors of the reader; [`Error::Invalid`] for a pixel that is no number.
-    pub fn page(&self, world: &WorldFile) -> Result<Page> {
+    pub(crate) fn page(&self, world: &WorldFile) -> Result<Page> {
         let metadata = world.metadata();
         let [rows, columns_px] = world.shape();
         let pixel = metadata.pixel_size_nm;

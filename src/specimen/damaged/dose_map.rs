@@ -41,7 +41,7 @@ impl DoseMap {
     }
 
     /// Adds the doses of another map.
-    pub fn add_all(&mut self, other: &DoseMap) {
+    pub(crate) fn add_all(&mut self, other: &DoseMap) {
         for (block, more) in &other.blocks {
             let cells = self.blocks.entry(*block).or_insert_with(|| vec![0.0; more.len()]);
             cells.iter_mut().zip(more).for_each(|(dose, more)| *dose += more);
@@ -49,7 +49,7 @@ impl DoseMap {
     }
 
     /// Returns the greatest sum of both doses at the places where the other map has electrons.
-    pub fn greatest_with(&self, other: &DoseMap) -> f64 {
+    pub(crate) fn greatest_with(&self, other: &DoseMap) -> f64 {
         let sum = |(block, more): (&[i64; 2], &Vec<f64>)| {
             let before = self.blocks.get(block);
             let dose = |(cell, more): (usize, &f64)| before.map_or(0.0, |cells| cells[cell]) + more;
@@ -66,7 +66,7 @@ impl DoseMap {
     }
 
     /// Returns the mean dose of a region, in electrons per square Angstrom.
-    pub fn mean(&self, region: &Region) -> f64 {
+    pub(crate) fn mean(&self, region: &Region) -> f64 {
         let [across, down] = [region.x, region.y].map(shares);
         let (mut sum, mut area) = (0.0, 0.0);
         for (row, height) in &down {
@@ -82,7 +82,7 @@ impl DoseMap {
 
     /// Returns the mean dose without the outermost cells of the region, some of which reach beyond the exposed area. For a region that is
     /// too small for that, returns [`DoseMap::mean`].
-    pub fn mean_within(&self, region: &Region) -> f64 {
+    pub(crate) fn mean_within(&self, region: &Region) -> f64 {
         let inner = region.grown(-CELL_NM);
         let large = [inner.x, inner.y].iter().all(|[low, high]| high - low > CELL_NM);
         self.mean(if large { &inner } else { region })
@@ -94,12 +94,12 @@ impl DoseMap {
     }
 
     /// Returns the number of electrons on the whole field.
-    pub fn electrons(&self) -> f64 {
+    pub(crate) fn electrons(&self) -> f64 {
         self.blocks.values().flatten().sum::<f64>() * 100.0 * CELL_NM * CELL_NM
     }
 
     /// Whether the blocks have the right size and hold finite doses that are not negative: a map may come from a file.
-    pub fn is_sound(&self) -> bool {
+    pub(crate) fn is_sound(&self) -> bool {
         let cells = (BLOCK_CELLS * BLOCK_CELLS) as usize;
         let sound = |block: &Vec<f64>| {
             block.len() == cells && block.iter().all(|dose| dose.is_finite() && *dose >= 0.0)

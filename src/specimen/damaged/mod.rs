@@ -1,5 +1,5 @@
 //! Specimens that lose atoms under the beam: the map of doses, and the atoms left in each column.
 
-pub mod damaged_specimen;
-pub mod dose_map;
+pub(crate) mod damaged_specimen;
+pub(crate) mod dose_map;
 mod unit_patterns;

@@ -13,16 +13,16 @@ use crate::structure::columns::{Chain, ColumnCrystal};
 use crate::structure::elements;
 
 /// Positions closer than this to a mirror plane count as on it, in Angstrom.
-pub const ON_PLANE: f64 = 1e-6;
+pub(crate) const ON_PLANE: f64 = 1e-6;
 
 /// Least distances between atoms, in Angstrom.
 #[derive(Debug, Clone, Default)]
-pub struct MinDistances(HashMap<(u8, u8), f64>);
+pub(crate) struct MinDistances(HashMap<(u8, u8), f64>);
 
 impl MinDistances {
     /// Takes the distances of a recipe's table (`"Ti-O"`, checked before); other pairs get the default share of `shortest`, the shortest
     /// distances in the crystal.
-    pub fn new(table: &BTreeMap<String, f64>, shortest: &BTreeMap<(u8, u8), f64>) -> Self {
+    pub(crate) fn new(table: &BTreeMap<String, f64>, shortest: &BTreeMap<(u8, u8), f64>) -> Self {
         let number = |s: &str| elements::atomic_number(s).unwrap_or(0);
         let both = |a, b, d| [((a, b), d), ((b, a), d)];
         let default = shortest.iter().flat_map(|(&(a, b), d)| both(a, b, d * DEFAULT_MIN_DISTANCE));
@@ -33,18 +33,18 @@ impl MinDistances {
         MinDistances(default.chain(given.flatten()).collect())
     }
     /// Returns the least distance between two elements.
-    pub fn get(&self, a: u8, b: u8) -> f64 {
+    pub(crate) fn get(&self, a: u8, b: u8) -> f64 {
         self.0.get(&(a, b)).copied().unwrap_or(0.0)
     }
     /// Returns the greatest of the distances.
-    pub fn greatest(&self) -> f64 {
+    pub(crate) fn greatest(&self) -> f64 {
         self.0.values().copied().fold(0.0, f64::max)
     }
 }
 
 /// State of a column at a boundary.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ColumnOutcome {
+pub(crate) struct ColumnOutcome {
     /// New position (x in Angstrom), if the column moved.
     pub x: Option<f64>,
     /// Bit `n` is set if chain `n` is kept.
@@ -91,7 +91,7 @@ impl MirrorPair {
 
 /// Decides the state of every column near the boundary at the right edge of `grains[left]`, for `y` within `span` (Angstrom). Columns that
 /// are not in the map are unchanged.
-pub fn resolve(
+pub(crate) fn resolve(
     crystal: &ColumnCrystal,
     grain: &Grain,
     left: usize,

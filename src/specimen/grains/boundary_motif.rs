@@ -15,7 +15,7 @@ use crate::structure::columns::{Chain, ColumnCrystal};
 
 /// Columns nearer to the plane than this are slots, in Angstrom. For columns beyond it, the other grain is farther away than a probe in a
 /// crystal reaches.
-pub const SLOT_REACH_ANGSTROM: f64 = 5.0;
+pub(crate) const SLOT_REACH_ANGSTROM: f64 = 5.0;
 /// Width in Angstrom that is scanned beyond the slots, for the ramps to the crystal's units and for interpolation between samples
 /// ([`crate::resample::MARGIN`]).
 const SCAN_BEYOND_ANGSTROM: f64 = 2.5;
@@ -28,7 +28,7 @@ const SAME: f64 = 0.01;
 
 /// A column of a boundary, relative to a lattice point on its plane.
 #[derive(Debug, Clone, PartialEq)]
-pub struct BoundaryColumn {
+pub(crate) struct BoundaryColumn {
     /// Position (x, y) in Angstrom; the plane is x = 0.
     pub position: [f64; 2],
     /// The chains of the column that are kept: number in the kind of column, and the chain.
@@ -37,7 +37,7 @@ pub struct BoundaryColumn {
 
 /// The repeating pattern of a coincidence boundary.
 #[derive(Debug)]
-pub struct BoundaryMotif {
+pub(crate) struct BoundaryMotif {
     /// Period along y in Angstrom.
     pub period: f64,
     slots: Vec<BoundaryColumn>,
@@ -51,13 +51,13 @@ pub struct BoundaryMotif {
 }
 
 /// Distance in Angstrom to which a motif needs the columns around a boundary.
-pub fn reach_angstrom() -> f64 {
+pub(crate) fn reach_angstrom() -> f64 {
     SLOT_REACH_ANGSTROM + SCAN_BEYOND_ANGSTROM + SPECIMEN_BEYOND_ANGSTROM
 }
 
 impl BoundaryMotif {
     /// Makes the motif of a boundary from its `columns` over one period, out to [`reach_angstrom`].
-    pub fn new(
+    pub(crate) fn new(
         columns: Vec<BoundaryColumn>,
         period: f64,
         depth: usize,
@@ -81,7 +81,11 @@ impl BoundaryMotif {
     }
 
     /// Finds the slot at `position` (relative to a lattice point on the plane), if the column there has these chains.
-    pub fn slot(&self, [x, y]: [f64; 2], chains: impl Iterator<Item = usize>) -> Option<usize> {
+    pub(crate) fn slot(
+        &self,
+        [x, y]: [f64; 2],
+        chains: impl Iterator<Item = usize>,
+    ) -> Option<usize> {
         let y = y.rem_euclid(self.period);
         // Rounding may lead to the next bin, and across the end of the period.
         let near = (0..27).map(|n| (n % 3 - 1, n / 3 % 3 - 1, f64::from(n as i32 / 9 - 1)));
@@ -96,12 +100,18 @@ impl BoundaryMotif {
     }
 
     /// Number of slots.
-    pub fn slot_count(&self) -> usize {
+    pub(crate) fn slot_count(&self) -> usize {
         self.slots.len()
     }
 
     /// Draws the contents of the column `id` in `slot`; `around` is the rate at the plane.
-    pub fn draw(&self, slot: usize, id: u64, rate: f64, around: f64) -> Option<PatternIndex> {
+    pub(crate) fn draw(
+        &self,
+        slot: usize,
+        id: u64,
+        rate: f64,
+        around: f64,
+    ) -> Option<PatternIndex> {
         let bin = bin_of(around);
         let allowed = vec![true; self.pool.sites(slot)];
         let cell = self.pool.draw(slot, bin, rate, &allowed, 0.0, (self.seed, id))?;
@@ -110,12 +120,17 @@ impl BoundaryMotif {
 
     /// Returns the number of an atom among the slot's sites, if it may be a defect. The atom belongs to chain `chain`, counted among the
     /// chains that are kept.
-    pub fn site(&self, slot: usize, chain: usize, depth: usize) -> Option<usize> {
+    pub(crate) fn site(&self, slot: usize, chain: usize, depth: usize) -> Option<usize> {
         site(&self.slots[slot], self.process, chain, depth)
     }
 
     /// Builds the library cells of the motif.
-    pub fn library_cell(&self, crystal: &ColumnCrystal, depth: usize, bin: usize) -> LibraryCell {
+    pub(crate) fn library_cell(
+        &self,
+        crystal: &ColumnCrystal,
+        depth: usize,
+        bin: usize,
+    ) -> LibraryCell {
         let count = self.pool.cells() / self.periods;
         let centre_x = reach_angstrom();
         let column = |c: &BoundaryColumn, period: usize| -> Vec<LibrarySite> {

@@ -2,7 +2,7 @@
 
 /// The lattice of one grain.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Grain {
+pub(crate) struct Grain {
     /// A lattice point in Angstrom.
     pub origin: [f64; 2],
     /// Cosine and sine of the rotation.
@@ -15,7 +15,7 @@ pub struct Grain {
 
 impl Grain {
     /// Returns the position of the point (u, v) in Angstrom; u and v in units of the edges of `cell`.
-    pub fn position(&self, cell: [f64; 3], u: f64, v: f64) -> [f64; 2] {
+    pub(crate) fn position(&self, cell: [f64; 3], u: f64, v: f64) -> [f64; 2] {
         let [c, s] = self.rotation;
         let (u, v) = (cell[0] * u, cell[1] * v);
         let dx = c * u - s * v;
@@ -24,7 +24,7 @@ impl Grain {
     }
 
     /// Returns the mirror image about the line `x = plane`: cells with the same indices lie at mirrored places.
-    pub fn mirror_image(&self, plane: f64) -> Grain {
+    pub(crate) fn mirror_image(&self, plane: f64) -> Grain {
         Grain {
             origin: [2.0 * plane - self.origin[0], self.origin[1]],
             rotation: self.rotation,
@@ -34,7 +34,11 @@ impl Grain {
     }
 
     /// Returns the ranges of cells (i, j) that cover a rectangle `[[x0, x1], [y0, y1]]` in Angstrom.
-    pub fn cells(&self, cell: [f64; 3], rect: [[f64; 2]; 2]) -> [std::ops::RangeInclusive<i64>; 2] {
+    pub(crate) fn cells(
+        &self,
+        cell: [f64; 3],
+        rect: [[f64; 2]; 2],
+    ) -> [std::ops::RangeInclusive<i64>; 2] {
         let [c, s] = self.rotation;
         let mut low = [f64::INFINITY; 2];
         let mut high = [f64::NEG_INFINITY; 2];

@@ -1,6 +1,6 @@
 //! Crystals in grains with symmetric tilt boundaries between them.
 
-pub mod boundary;
-pub mod boundary_motif;
-pub mod grain;
-pub mod tilt_grains;
+mod boundary;
+mod boundary_motif;
+mod grain;
+pub(crate) mod tilt_grains;

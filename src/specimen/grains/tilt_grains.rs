@@ -33,7 +33,7 @@ use crate::structure::columns::{Chain, ColumnCrystal};
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, shortest_distances};
 
 /// A crystal in grains with symmetric tilt boundaries.
-pub struct Grains {
+pub(crate) struct Grains {
     crystal: ColumnCrystal,
     cells_along_beam: usize,
     grains: Vec<Grain>,
@@ -89,7 +89,7 @@ impl Grains {
     /// # Errors
     /// [`Error::Invalid`] for a crystal that has no mirror plane where boundaries need one, or a
     /// vacancy rate without room.
-    pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
+    pub(crate) fn new(recipe: &CheckedRecipe) -> Result<Self> {
         let shortest = shortest_distances(recipe.structure()?, PAIR_CUTOFF_ANGSTROM);
         let crystal = recipe.columns()?.clone();
         let field = recipe.field.full_region();

@@ -76,8 +76,7 @@ pub fn laid_particles(
             let height = resting_height(made, centre, &face, given, &crystals.least);
             laid_at(made, [centre[0], centre[1], height], given, checked)
         };
-        let found: Vec<LaidParticle> =
-            made.par_iter().zip(centres.clone()).map(rest).collect();
+        let found: Vec<LaidParticle> = made.par_iter().zip(centres.clone()).map(rest).collect();
         check_height(n, given, &found, recipe.field.thickness_nm)?;
         circles.extend(
             centres.iter().zip(&made).map(|(c, m)| Circle { centre: *c, radius: m.radius }),
@@ -130,7 +129,11 @@ fn made_particle(
     };
     if own.is_empty() {
         let expected = "no atoms are left of a particle of this size; raise the diameter";
-        return Err(Error::invalid(Setting::ParticleDiameterNm, format!("{wanted_nm:.3}"), expected));
+        return Err(Error::invalid(
+            Setting::ParticleDiameterNm,
+            format!("{wanted_nm:.3}"),
+            expected,
+        ));
     }
     let atoms: Vec<(Vec3, u8)> = own.iter().map(|(p, z)| (rotation.apply(*p), *z)).collect();
     let volume = own.len() as f64 * volume_per_atom(&checked.structure);
@@ -167,8 +170,7 @@ fn places(
             },
         );
     }
-    let centres: Vec<[f64; 2]> =
-        given.positions_nm.iter().map(|at| at.map(|nm| nm / NM)).collect();
+    let centres: Vec<[f64; 2]> = given.positions_nm.iter().map(|at| at.map(|nm| nm / NM)).collect();
     let mut there = taken.to_vec();
     for (k, (centre, radius)) in centres.iter().zip(radii).enumerate() {
         let circle = Circle { centre: *centre, radius };
@@ -213,9 +215,7 @@ fn resting_height(
     let sign = inward(given.side);
     let contact = |a: u8, b: u8| given.contact_angstrom.unwrap_or(least.of(a, b) / LEAST_SHARE);
     let most = given.contact_angstrom.unwrap_or(least.greatest() / LEAST_SHARE);
-    let within = |at: &Vec3| {
-        (0..2).all(|k| (at[k] - centre[k]).abs() <= made.radius + most)
-    };
+    let within = |at: &Vec3| (0..2).all(|k| (at[k] - centre[k]).abs() <= made.radius + most);
     let below: Vec<&(Vec3, u8)> = face.iter().filter(|(at, _)| within(at)).collect();
     let lowest = made.atoms.iter().map(|(p, _)| sign * p[2]).fold(f64::NEG_INFINITY, f64::max);
     let deepest = below.iter().map(|(at, _)| at[2]).fold(f64::NEG_INFINITY, f64::max);

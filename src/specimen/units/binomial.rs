@@ -1,7 +1,7 @@
 //! Numbers of defects in a unit: the binomial distribution, and draws from it among the numbers that a pool has.
 
 /// Returns the probability of each number of defects among `sites` independent sites.
-pub fn binomial(sites: usize, rate: f64) -> Vec<f64> {
+pub(crate) fn binomial(sites: usize, rate: f64) -> Vec<f64> {
     binomial_until(sites, rate, 0.0)
 }
 
@@ -26,7 +26,7 @@ fn binomial_until(sites: usize, rate: f64, rest: f64) -> Vec<f64> {
 
 /// Returns the number at which a binomial distribution passes `u`. Its rate is chosen so that its mean is `sites` x `rate` when numbers
 /// outside `limits` become the nearest limit; where that mean lies outside the limits, the rate is `rate`.
-pub fn drawn_within(sites: usize, rate: f64, limits: [usize; 2], u: f64) -> usize {
+pub(crate) fn drawn_within(sites: usize, rate: f64, limits: [usize; 2], u: f64) -> usize {
     let plain = Binomial::new(sites, rate);
     let goal = sites as f64 * rate;
     if goal <= limits[0] as f64 || goal >= limits[1] as f64 {

@@ -7,11 +7,11 @@ use crate::specimen::column_index::ColumnIndex;
 
 /// The tags of the units so far: all columns of a unit have the same tag except for their member number.
 #[derive(Default)]
-pub struct KnownTags(HashMap<u64, Option<UnitTag>>);
+pub(crate) struct KnownTags(HashMap<u64, Option<UnitTag>>);
 
 impl KnownTags {
     /// Returns the tag of column `member` of the unit that is named by its `first` column; `make` computes the tag of any member.
-    pub fn get(
+    pub(crate) fn get(
         &mut self,
         (first, member): (ColumnIndex, usize),
         make: impl FnOnce() -> Option<UnitTag>,

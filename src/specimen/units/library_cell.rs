@@ -63,7 +63,7 @@ pub struct LibraryCell {
 impl LibraryCell {
     /// Builds the library cells of an unstrained or uniformly deformed lattice, periodic along x and y. `place` computes the position of a
     /// site of a column in Angstrom from its cell along the beam, the kind of column and the number of the chain.
-    pub fn lattice(
+    pub(crate) fn lattice(
         contents: &UnitOccupation,
         crystal: &ColumnCrystal,
         (cell, bin): ([f64; 2], usize),

@@ -13,7 +13,7 @@ use crate::structure::columns::ColumnCrystal;
 use crate::structure::elements;
 
 /// Least width of the periodic part of a library cell in Angstrom: more than twice the reach of a probe.
-pub const LIBRARY_CELL_ANGSTROM: f64 = 19.0;
+pub(crate) const LIBRARY_CELL_ANGSTROM: f64 = 19.0;
 /// Number of patches in the library cells of a bin, all kinds of units and phonon configurations together. The mean square of the phonon
 /// spread of one kind of four is then known to 7 % in each bin.
 const PATCHES_PER_BIN: usize = 1800;
@@ -37,13 +37,13 @@ impl DefectKind {
     ///
     /// # Errors
     /// [`crate::Error::UnknownElement`].
-    pub fn of(defect: &PointDefect) -> Result<Self> {
+    pub(crate) fn of(defect: &PointDefect) -> Result<Self> {
         let by = defect.by.as_ref().map(|by| elements::atomic_number(by)).transpose()?;
         Ok(DefectKind { element: elements::atomic_number(&defect.element)?, by })
     }
 
     /// Returns the contents of a defective site (of a vacancy, the missing element).
-    pub fn defect(self) -> (SiteKind, u8) {
+    pub(crate) fn defect(self) -> (SiteKind, u8) {
         match self.by {
             Some(by) => (SiteKind::Substitution, by),
             None => (SiteKind::Vacancy, self.element),
@@ -56,7 +56,7 @@ const KIND_SEED: u64 = 0x9E37_79B9_7F4A_7C15;
 
 /// The contents of the units of a crystal.
 #[derive(Debug)]
-pub struct UnitOccupation {
+pub(crate) struct UnitOccupation {
     /// The units of the crystal's cell.
     pub units: UnitKinds,
     /// The kind of defect, if any.
@@ -79,7 +79,7 @@ impl UnitOccupation {
     ///
     /// # Errors
     /// [`crate::Error::UnknownElement`].
-    pub fn new(recipe: &Recipe, crystal: &ColumnCrystal) -> Result<Option<Self>> {
+    pub(crate) fn new(recipe: &Recipe, crystal: &ColumnCrystal) -> Result<Option<Self>> {
         match &kinds(recipe)?[..] {
             [] => Ok(None),
             [kind] => UnitOccupation::of_kind(recipe, crystal, *kind, PATCHES_PER_BIN).map(Some),
@@ -91,7 +91,7 @@ impl UnitOccupation {
     ///
     /// # Errors
     /// As [`UnitOccupation::new`].
-    pub fn each(recipe: &Recipe, crystal: &ColumnCrystal) -> Result<Vec<Self>> {
+    pub(crate) fn each(recipe: &Recipe, crystal: &ColumnCrystal) -> Result<Vec<Self>> {
         let mut all = Vec::new();
         for (number, kind) in (0u64..).zip(kinds(recipe)?) {
             let patches = patches_per_bin(recipe, crystal, number > 0);
@@ -135,13 +135,13 @@ impl UnitOccupation {
     }
 
     /// Seed of the draws for this kind of defect.
-    pub fn seed(&self) -> u64 {
+    pub(crate) fn seed(&self) -> u64 {
         self.seed
     }
 
     /// Returns the unit of a column: the kind of unit, the number of the column among its members, and the index of the first member, which
     /// names the unit.
-    pub fn unit_of(&self, index: ColumnIndex) -> (usize, usize, ColumnIndex) {
+    pub(crate) fn unit_of(&self, index: ColumnIndex) -> (usize, usize, ColumnIndex) {
         let (unit, number) = self.units.of_column[index.kind];
         let member = self.units.kinds[unit][number];
         let cell = [0, 1].map(|k| index.cell[k] - member.cell[k]);
@@ -149,20 +149,20 @@ impl UnitOccupation {
     }
 
     /// Returns the number among the unit's sites of the atom of chain `chain` of a column in cell `depth`, if it may be a defect.
-    pub fn site(&self, column: usize, chain: usize, depth: usize) -> Option<usize> {
+    pub(crate) fn site(&self, column: usize, chain: usize, depth: usize) -> Option<usize> {
         let place = self.places[column][chain]?;
         let (unit, _) = self.units.of_column[column];
         Some(depth * self.per_cell[unit] + place)
     }
 
     /// Draws the contents of the unit named by `index`, from the bin nearest to its rate.
-    pub fn draw(&self, kind: usize, index: ColumnIndex, rate: f64) -> Option<PatternIndex> {
+    pub(crate) fn draw(&self, kind: usize, index: ColumnIndex, rate: f64) -> Option<PatternIndex> {
         let allowed = vec![true; self.pool.sites(kind)];
         self.draw_among(kind, index, rate, rate, &allowed)
     }
 
     /// Draws the contents where only some sites may be defects; `around` is the rate in the surroundings.
-    pub fn draw_among(
+    pub(crate) fn draw_among(
         &self,
         kind: usize,
         index: ColumnIndex,
@@ -182,7 +182,7 @@ impl UnitOccupation {
     }
 
     /// Finds the place in the library of a unit that holds exactly these defects (ascending), if the pool has them.
-    pub fn find(
+    pub(crate) fn find(
         &self,
         kind: usize,
         index: ColumnIndex,
@@ -198,7 +198,7 @@ impl UnitOccupation {
 
     /// Finds the place in the library of a unit with as many defects as `wanted`, most of them on `allowed` sites, if the pool has that
     /// number.
-    pub fn nearest(
+    pub(crate) fn nearest(
         &self,
         kind: usize,
         index: ColumnIndex,
@@ -214,7 +214,7 @@ impl UnitOccupation {
 
     /// Returns the contents of a site of a unit: the atom of chain `chain` of a column of kind `column` in cell `depth` along the beam,
     /// where `number` belongs.
-    pub fn holds(
+    pub(crate) fn holds(
         &self,
         entry: PatternIndex,
         [column, chain, depth]: [usize; 3],
@@ -224,7 +224,7 @@ impl UnitOccupation {
     }
 
     /// Returns the contents of a site by its number among the sites of a unit with the defects `pattern`.
-    pub fn held(&self, pattern: &[u16], site: Option<usize>, number: u8) -> (SiteKind, u8) {
+    pub(crate) fn held(&self, pattern: &[u16], site: Option<usize>, number: u8) -> (SiteKind, u8) {
         match (site, self.process) {
             (Some(site), Some(process)) if pattern.contains(&(site as u16)) => process.defect(),
             _ => (SiteKind::Pristine, number),
@@ -232,7 +232,7 @@ impl UnitOccupation {
     }
 
     /// Returns the defective sites of an entry, ascending.
-    pub fn pattern(&self, entry: PatternIndex) -> &[u16] {
+    pub(crate) fn pattern(&self, entry: PatternIndex) -> &[u16] {
         &self.pool.patterns(entry.kind, entry.bin).cells[entry.cell]
     }
 }
@@ -245,7 +245,7 @@ fn bins(rate: f64, around: f64) -> Vec<usize> {
 }
 
 /// Returns the number of library cells of a bin that together hold `patches` patches; each cell holds `units` units.
-pub fn library_cells(patches: usize, units: usize, configurations: usize) -> usize {
+pub(crate) fn library_cells(patches: usize, units: usize, configurations: usize) -> usize {
     patches.div_ceil(units.max(1) * configurations)
 }
 

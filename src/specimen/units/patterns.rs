@@ -25,7 +25,7 @@ const FEW_CELLS: usize = 4;
 const SEED: u64 = 0x5354_454d_504f_4f4c;
 
 /// Returns the bin of a rate; the first bin is for units without defects only.
-pub fn bin_of(rate: f64) -> usize {
+pub(crate) fn bin_of(rate: f64) -> usize {
     let distance = |n: &usize| (RATES[*n].sqrt() - rate.max(0.0).sqrt()).abs();
     (usize::from(rate > 0.0)..RATES.len())
         .min_by(|a, b| distance(a).total_cmp(&distance(b)))
@@ -33,7 +33,7 @@ pub fn bin_of(rate: f64) -> usize {
 }
 
 /// Returns all bins, the nearest to a rate (in its square root) first.
-pub fn nearest_bins(rate: f64) -> Vec<usize> {
+pub(crate) fn nearest_bins(rate: f64) -> Vec<usize> {
     let distance = |n: &usize| (RATES[*n].sqrt() - rate.max(0.0).sqrt()).abs();
     let mut bins: Vec<usize> = (0..RATES.len()).collect();
     bins.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
@@ -41,7 +41,7 @@ pub fn nearest_bins(rate: f64) -> Vec<usize> {
 }
 
 /// Returns the rate of a bin.
-pub fn rate_of(bin: usize) -> f64 {
+pub(crate) fn rate_of(bin: usize) -> f64 {
     RATES[bin]
 }
 
@@ -55,7 +55,7 @@ fn span(bin: usize) -> [f64; 2] {
 
 /// The patterns of one kind of unit in one bin, one for each lattice cell of the bin's library cells.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PatternTable {
+pub(crate) struct PatternTable {
     /// Defective sites of the unit in each cell, ascending.
     pub cells: Vec<Vec<u16>>,
     /// Cells by their number of defects.
@@ -68,7 +68,7 @@ impl PatternTable {
     /// Draws the patterns of units with `sites` sites, for `library_cells` library cells of `per_library_cell` lattice cells. `stream`
     /// distinguishes kinds of units. A larger pool begins with the library cells of a smaller one, so that worlds with different numbers of
     /// phonon configurations share them.
-    pub fn new(
+    pub(crate) fn new(
         sites: usize,
         bin: usize,
         [library_cells, per_library_cell]: [usize; 2],
@@ -116,7 +116,13 @@ impl PatternTable {
     ///
     /// A number that the pool lacks is replaced by one of the nearest numbers that it has, with the same mean; where the pool ends early,
     /// the rate of the binomial distribution makes up for it.
-    pub fn draw(&self, rate: f64, allowed: &[bool], spread: f64, u: [f64; 3]) -> Option<usize> {
+    pub(crate) fn draw(
+        &self,
+        rate: f64,
+        allowed: &[bool],
+        spread: f64,
+        u: [f64; 3],
+    ) -> Option<usize> {
         let open = allowed.iter().filter(|a| **a).count();
         let all = open == allowed.len();
         let fits =
@@ -144,7 +150,7 @@ impl PatternTable {
     }
 
     /// Draws a cell with exactly these defects (ascending), if the pool has any; `u` is a uniform number.
-    pub fn find(&self, defects: &[u16], u: f64) -> Option<usize> {
+    pub(crate) fn find(&self, defects: &[u16], u: f64) -> Option<usize> {
         let same = |c: &&u32| self.cells[**c as usize] == defects;
         let cells: Vec<u32> =
             self.by_count.get(defects.len())?.iter().filter(same).copied().collect();
@@ -153,7 +159,7 @@ impl PatternTable {
 
     /// Draws a cell with as many defects as `wanted`: with the most defects on `allowed` sites, and among these with the most defects on
     /// the sites of `wanted`. `u` is a uniform number. `None` if the pool has no pattern of that number.
-    pub fn nearest(&self, wanted: &[u16], allowed: &[bool], u: f64) -> Option<usize> {
+    pub(crate) fn nearest(&self, wanted: &[u16], allowed: &[bool], u: f64) -> Option<usize> {
         let alike = |cell: u32| {
             let sites = || self.cells[cell as usize].iter();
             let inside = sites().filter(|site| allowed[usize::from(**site)]).count();
@@ -164,16 +170,11 @@ impl PatternTable {
         let best: Vec<u32> = cells.iter().copied().filter(|cell| alike(*cell) == most).collect();
         best.get((u * best.len() as f64) as usize).map(|c| *c as usize)
     }
-
-    /// Returns the cells in which a unit holds no defect.
-    pub fn pristine(&self) -> &[u32] {
-        &self.by_count[0]
-    }
 }
 
 /// The patterns of several kinds of units, made on first use.
 #[derive(Debug, Default)]
-pub struct DefectPatterns {
+pub(crate) struct DefectPatterns {
     /// Number of sites of each kind of unit that may be defects.
     sites: Vec<usize>,
     /// Number of library cells, and of lattice cells in each.
@@ -184,30 +185,30 @@ pub struct DefectPatterns {
 
 impl DefectPatterns {
     /// Prepares a pool of patterns for each bin and kind of unit; `layout` is the number of library cells, and of lattice cells in each.
-    pub fn new(sites: Vec<usize>, layout: [usize; 2], stream: u64) -> Self {
+    pub(crate) fn new(sites: Vec<usize>, layout: [usize; 2], stream: u64) -> Self {
         let tables = (0..sites.len() * RATES.len()).map(|_| OnceLock::new()).collect();
         DefectPatterns { sites, layout, stream, tables }
     }
 
     /// Returns the patterns of a kind of unit in a bin.
-    pub fn patterns(&self, kind: usize, bin: usize) -> &PatternTable {
+    pub(crate) fn patterns(&self, kind: usize, bin: usize) -> &PatternTable {
         self.tables[kind * RATES.len() + bin].get_or_init(|| {
             PatternTable::new(self.sites[kind], bin, self.layout, self.stream << 16 | kind as u64)
         })
     }
 
     /// Returns the number of sites of a kind of unit that may be defects.
-    pub fn sites(&self, kind: usize) -> usize {
+    pub(crate) fn sites(&self, kind: usize) -> usize {
         self.sites[kind]
     }
 
     /// Returns the number of patterns of each bin and kind.
-    pub fn cells(&self) -> usize {
+    pub(crate) fn cells(&self) -> usize {
         self.layout[0] * self.layout[1]
     }
 
     /// Draws the contents of the unit `id` of a specimen: the cell of its pattern in the bin.
-    pub fn draw(
+    pub(crate) fn draw(
         &self,
         kind: usize,
         bin: usize,
@@ -221,7 +222,7 @@ impl DefectPatterns {
     }
 
     /// Draws a cell of the bin with the defects (ascending) of the unit `id` of a specimen, if there is one.
-    pub fn find(
+    pub(crate) fn find(
         &self,
         kind: usize,
         bin: usize,
@@ -232,7 +233,7 @@ impl DefectPatterns {
     }
 
     /// Draws a cell with as many defects as `wanted` (see [`PatternTable::nearest`]).
-    pub fn nearest(
+    pub(crate) fn nearest(
         &self,
         kind: usize,
         bin: usize,

@@ -10,7 +10,7 @@ const SAME_UNIT_ANGSTROM: f64 = 1.5;
 
 /// A column of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct UnitMember {
+pub(crate) struct UnitMember {
     /// Index into [`ColumnCrystal::columns`].
     pub kind: usize,
     /// Cell of the column relative to the cell of the first member.
@@ -19,7 +19,7 @@ pub struct UnitMember {
 
 /// The units of a crystal's cell.
 #[derive(Debug, Clone, PartialEq)]
-pub struct UnitKinds {
+pub(crate) struct UnitKinds {
     /// Members of each kind of unit; the first has the lowest kind of column.
     pub kinds: Vec<Vec<UnitMember>>,
     /// For each kind of column: its kind of unit, and its number among the members.
@@ -28,7 +28,7 @@ pub struct UnitKinds {
 
 impl UnitKinds {
     /// Groups the columns of a crystal. Where close columns form endless chains, each column is a separate unit.
-    pub fn new(crystal: &ColumnCrystal) -> Self {
+    pub(crate) fn new(crystal: &ColumnCrystal) -> Self {
         let count = crystal.columns.len();
         let mut taken = vec![false; count];
         let mut kinds = Vec::new();

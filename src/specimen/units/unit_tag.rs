@@ -55,33 +55,33 @@ const FRAME_PARTS: f64 = 1e7;
 
 impl TurnedFamily {
     /// Returns the family and orientation of a unit.
-    pub fn of(tag: &UnitTag) -> Self {
+    pub(crate) fn of(tag: &UnitTag) -> Self {
         let parts = tag.frame.map(|row| row.map(|v| (v * FRAME_PARTS).round() as i64));
         TurnedFamily { family: tag.family, frame: parts }
     }
 
     /// Returns the family with unrotated library cells.
     #[must_use]
-    pub fn straight(self) -> Self {
+    pub(crate) fn straight(self) -> Self {
         let one = FRAME_PARTS as i64;
         TurnedFamily { frame: [[one, 0], [0, one]], ..self }
     }
 
     /// Returns another family in the same orientation.
     #[must_use]
-    pub fn with_family(self, family: UnitFamily) -> Self {
+    pub(crate) fn with_family(self, family: UnitFamily) -> Self {
         TurnedFamily { family, ..self }
     }
 
     /// Returns the frame (see [`UnitTag::frame`]).
-    pub fn frame(&self) -> [[f64; 2]; 2] {
+    pub(crate) fn frame(&self) -> [[f64; 2]; 2] {
         self.frame.map(|row| row.map(|v| v as f64 / FRAME_PARTS))
     }
 }
 
 impl UnitTag {
     /// Makes the tag of a unit of an unrotated lattice; `first` is its first column.
-    pub fn unrotated(
+    pub(crate) fn unrotated(
         (first, member): (ColumnIndex, usize),
         centre_nm: [f64; 2],
         structure: usize,

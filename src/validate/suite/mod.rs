@@ -56,10 +56,6 @@ pub enum Group {
 }
 
 impl Group {
-    /// All groups in the order of the report.
-    pub const ALL: [Group; 5] =
-        [Group::Abtem, Group::Refined, Group::Published, Group::Laws, Group::Engines];
-
     /// Returns the heading of the group.
     pub fn title(self) -> &'static str {
         match self {

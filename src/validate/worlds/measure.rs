@@ -11,8 +11,7 @@ use super::spectrum::{Bands, Collector, Spectrum};
 use super::variation::Variation;
 use crate::constants::wavelength_angstrom;
 use crate::error::{Error, Result};
-use crate::io::schema::atom_type;
-use crate::io::{WorldColumn, WorldFile};
+use crate::io::{WorldColumn, WorldFile, atom_type};
 use crate::progress::Progress;
 use crate::rng::philox4x32_10;
 use crate::setting::Setting;
@@ -84,12 +83,12 @@ pub struct Measured {
 
 impl Measured {
     /// Height and width in nm.
-    pub fn extent_nm(&self) -> [f64; 2] {
+    pub(crate) fn extent_nm(&self) -> [f64; 2] {
         self.shape.map(|n| n as f64 * self.pixel_nm)
     }
 
     /// Returns the rates of a defect that this world does not have.
-    pub fn no_defects(&self) -> Vec<(f64, f64)> {
+    pub(crate) fn no_defects(&self) -> Vec<(f64, f64)> {
         self.site_counts.iter().map(|n| (0.0, *n)).collect()
     }
 }
@@ -139,7 +138,7 @@ impl Blocks {
 ///
 /// # Errors
 /// Errors of reading; [`Error::Invalid`] for an image with values that are not finite.
-pub fn measure(
+pub(crate) fn measure(
     world: &WorldFile,
     path: &Path,
     bands: &Bands,

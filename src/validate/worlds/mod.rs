@@ -2,7 +2,7 @@
 //! another processor, another program) are compared by statistics, each with a test and its threshold.
 //!
 //! A field is divided into blocks, at most 16 x 16. If both fields have the same pixels, the blocks at one place are a pair, and slow waves
-//! over their differences show how far two worlds of one kind differ ([`field_waves`](super::field_waves)). A feature that both have at one
+//! over their differences show how far two worlds of one kind differ (`field_waves`). A feature that both have at one
 //! place (a boundary, a well) then neither counts as a difference nor hides one. Other fields are compared by the scatter of all blocks of
 //! each, and by exchanging any of them. If the recipes have interfaces that wander, parts of the field are as large as the length over
 //! which they wander ([`Variation`]). A property whose variation no part of the field shows stays undecided.
@@ -18,7 +18,8 @@ use std::path::Path;
 
 use serde::Serialize;
 
-pub use measure::{Measured, measure};
+pub use measure::Measured;
+pub(crate) use measure::measure;
 pub use spectrum::Spectrum;
 pub use variation::Variation;
 

@@ -66,17 +66,17 @@ pub struct Spectrum {
 
 impl Spectrum {
     /// Returns the centre of the highest band in 1/nm.
-    pub fn highest(&self) -> f64 {
+    pub(crate) fn highest(&self) -> f64 {
         self.bands.count as f64 * self.bands.width
     }
 
     /// Returns the centres of the bands in 1/nm.
-    pub fn frequencies(&self) -> impl Iterator<Item = f64> + '_ {
+    pub(crate) fn frequencies(&self) -> impl Iterator<Item = f64> + '_ {
         (1..=self.bands.count).map(|i| i as f64 * self.bands.width)
     }
 
     /// Returns the ratio to another spectrum, band by band, with its relative error as `error`.
-    pub fn ratio(&self, other: &Spectrum) -> Vec<Ratio> {
+    pub(crate) fn ratio(&self, other: &Spectrum) -> Vec<Ratio> {
         let mean = |s: &Spectrum, band: usize| {
             let values: Vec<(f64, f64)> = s.segments.iter().map(|v| (v[band], 1.0)).collect();
             Ratio::of_blocks(&values)

@@ -29,7 +29,7 @@ pub enum Variation {
 
 impl Variation {
     /// Derives the variation from the recipe of a world with this height and width.
-    pub fn of_recipe(recipe: Option<&toml::Table>, extent_nm: [f64; 2]) -> Self {
+    pub(crate) fn of_recipe(recipe: Option<&toml::Table>, extent_nm: [f64; 2]) -> Self {
         let value = |keys: [&str; 2]| recipe?.get(keys[0])?.get(keys[1]);
         let as_number = |v: &toml::Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
         let number = |keys: [&str; 2]| value(keys).and_then(as_number);
@@ -52,13 +52,13 @@ impl Variation {
     }
 
     /// Returns the greater variation.
-    pub fn most(self, other: Self) -> Self {
+    pub(crate) fn most(self, other: Self) -> Self {
         if other > self { other } else { self }
     }
 
     /// Returns the numbers of waves along y and x, the constant one included, that carry as much of the variation as the mean of a field of
     /// this height does; `None` if no part of the field is independent of the others.
-    pub fn waves(self, height_nm: f64) -> Option<[usize; 2]> {
+    pub(crate) fn waves(self, height_nm: f64) -> Option<[usize; 2]> {
         match self {
             Variation::Local => Some([WAVES, WAVES]),
             Variation::AlongY(length) => {
@@ -71,7 +71,7 @@ impl Variation {
     }
 
     /// Returns the number of rows of blocks in an independent part, of `rows` in all; `None` if there is no such part.
-    pub fn rows_of_part(self, rows: usize, height_nm: f64) -> Option<usize> {
+    pub(crate) fn rows_of_part(self, rows: usize, height_nm: f64) -> Option<usize> {
         match self {
             Variation::Local => Some(1),
             Variation::AlongY(length) => {

@@ -1,0 +1,7 @@
+//! Files of diffraction patterns.
+
+mod hspy_patterns;
+pub(crate) mod pattern_file;
+pub(crate) mod pattern_format;
+pub(crate) mod pattern_run;
+mod raw_patterns;
