@@ -47,10 +47,6 @@ mod workspace_pool;
 pub(crate) use crate::structure::Site;
 pub use accuracy::{AccuracyFound, TriedWindow, WindowChoice, settings_for_accuracy, window_for};
 pub(crate) use accuracy::{ExactEngine, mean_heights};
-pub use patterns::{PatternRows, PatternSettings, simulate_patterns};
-pub use phonons::displaced;
-pub use single_scattering::{ScatteringMap, SingleScattering};
-
 pub use cost::Cost;
 pub(crate) use cost::PlannedScan;
 pub use detector_images::Images;
@@ -58,6 +54,8 @@ pub(crate) use direct_beam::direct_share;
 pub use free_memory::check_memory;
 pub use grid::Grid;
 pub(crate) use lens::lens_image;
+pub use patterns::{PatternRows, PatternSettings, simulate_patterns};
+pub use phonons::displaced;
 pub use plan::Plan;
 pub use probe_raster::ProbeRaster;
 pub(crate) use probe_raster::probe_margin_angstrom;
@@ -72,6 +70,7 @@ pub use settings::{
 pub(crate) use simulate::elements;
 pub use simulate::{Simulation, exit_wave, simulate};
 pub(crate) use simulate::{diffraction, mean_diffraction};
+pub use single_scattering::{ScatteringMap, SingleScattering};
 pub use source_size::Source;
 pub(crate) use source_size::SourceBlur;
 pub use speed::{Speed, measure_speed};

@@ -27,17 +27,25 @@ pub(crate) use self::hdf5::worlds::{
 };
 #[cfg(feature = "hdf5")]
 pub use self::hdf5::{
-    images::hspy_file::HspyFacts, images::hspy_file::create_hspy, images::hspy_file::write_hspy,
-    images::image_file::ExitWaves, images::image_file::ImageCounts, images::image_file::ImageStack,
-    images::image_file::Origin, images::image_file::write_images,
-    images::image_series::ImageSeries, images::stored_images::ImageKind,
-    images::stored_images::StoredImage, images::stored_images::StoredImages,
-    patterns::pattern_file::PatternFile, patterns::pattern_file::PatternHeader,
-    patterns::pattern_file::data_bytes, patterns::pattern_format::PatternFormat,
-    patterns::pattern_run::PatternRun, patterns::pattern_run::WrittenPatterns, read_through,
-    worlds::schema, worlds::stack_truth::DislocationRow, worlds::stack_truth::LayerRow,
-    worlds::truth_writer::ParticleBatch, worlds::world_file::GroundTruth,
-    worlds::world_file::WorldFile, worlds::world_making::RecordedSource,
-    worlds::world_making::WorldMaking, worlds::world_metadata::WorldMetadata,
-    worlds::world_truth::BoundaryLine, worlds::world_truth::WorldColumn,
+    images::{
+        hspy_file::{HspyFacts, create_hspy, write_hspy},
+        image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images},
+        image_series::ImageSeries,
+        stored_images::{ImageKind, StoredImage, StoredImages},
+    },
+    patterns::{
+        pattern_file::{PatternFile, PatternHeader, data_bytes},
+        pattern_format::PatternFormat,
+        pattern_run::{PatternRun, WrittenPatterns},
+    },
+    read_through,
+    worlds::{
+        schema,
+        stack_truth::{DislocationRow, LayerRow},
+        truth_writer::ParticleBatch,
+        world_file::{GroundTruth, WorldFile},
+        world_making::{RecordedSource, WorldMaking},
+        world_metadata::WorldMetadata,
+        world_truth::{BoundaryLine, WorldColumn},
+    },
 };

@@ -51,7 +51,6 @@ pub use pattern_job::{PatternBand, PatternValues, PatternsRequest};
 pub use plan_report::{GridReport, PlanReport, SliceReport};
 pub use plane_wave::PlaneWaveImages;
 pub use plausibility::{Warning, check_detector, check_energy, check_hdf5_name, check_semiangle};
-
 pub use request::SimulationRequest;
 pub use scan::{LengthUnit, ScanRequest};
 pub use time_estimate::{seconds, threads};

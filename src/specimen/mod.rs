@@ -45,8 +45,7 @@ pub use specimen_trait::{
     ParticleTruth, Specimen, SpecimenFacts, SpecimenLayout, StackTruth, ThinFilm,
 };
 pub use stripes::{Stripe, for_each_stripe};
+pub use surface_layers::{CarbonLayer, SurfaceLayers};
 pub use units::library_cell::{LibraryCell, LibrarySite, LibraryUnit};
 pub use units::occupation::DefectKind;
 pub use units::unit_tag::{PatternIndex, TurnedFamily, UnitFamily, UnitTag};
-
-pub use surface_layers::{CarbonLayer, SurfaceLayers};

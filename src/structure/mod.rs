@@ -42,7 +42,6 @@ pub(crate) use preparation::Preparation;
 pub(crate) use read::PARSED;
 pub(crate) use read::parse_labelled;
 pub use read::{Format, ReadStructure, parse, parse_noted, read, read_noted, sigmas_of_file};
-
 pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};
 
 /// Upper bound of the distance of neighbouring pairs in any crystal, in Angstrom.
