@@ -113,9 +113,13 @@ fn check_tables(recipe: &Recipe) -> Checked {
         ("particles", recipe.particles.is_some(), &[Particles]),
         ("atoms", recipe.atoms.is_some(), &[Atoms]),
         ("stack", recipe.stack.is_some(), &[Stack]),
-        ("vacancies", recipe.vacancies.is_some(), &[Grains, Domains, Epitaxy, Particles]),
-        ("substitutions", recipe.substitutions.is_some(), &[Grains, Domains, Epitaxy, Particles]),
-        ("defects", !recipe.defects.is_empty(), &[Grains]),
+        ("vacancies", recipe.vacancies.is_some(), &[Grains, Domains, Epitaxy, Particles, Stack]),
+        (
+            "substitutions",
+            recipe.substitutions.is_some(),
+            &[Grains, Domains, Epitaxy, Particles, Stack],
+        ),
+        ("defects", !recipe.defects.is_empty(), &[Grains, Stack]),
     ];
     for (name, given, kinds) in tables {
         if given && !kinds.contains(&recipe.structure) {

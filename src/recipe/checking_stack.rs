@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::atoms_table::NO_CRYSTAL;
 use super::checking_amorphous::packing;
+use super::checking_defects::check_defects;
 use super::checking_extended::{check_dislocations, check_faults, check_precipitates};
 use super::checking_interfaces::{check_exchange, check_roughness};
 use super::checking_stack_particles::check_stack_particles;
@@ -72,11 +73,35 @@ pub fn check_stack(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> 
     let precipitates = check_precipitates(table, &recipe.field)?;
     let particles = check_stack_particles(table, &recipe.field)?;
     check_atoms(&layers, end, table, &recipe.field)?;
-    let (least, symbols) = distances_and_elements(&layers, &precipitates, &particles);
+    let (least, mut symbols) = distances_and_elements(&layers, &precipitates, &particles);
+    let bounded = layers.len() > 1 || !table.faults.is_empty() || !table.dislocations.is_empty();
+    check_point_defects_of_stacks(recipe, bounded)?;
+    check_defects(recipe, &mut symbols)?;
+    symbols.sort();
+    symbols.dedup();
     let phases = table.phases();
     let stack =
         StackedCrystals { phases, layers, end, dislocations, precipitates, particles, least };
     Ok((OrientedCrystals::Stack(Arc::new(stack)), symbols))
+}
+
+/// Refuses what vacancies of stacks do not have.
+fn check_point_defects_of_stacks(recipe: &Recipe, bounded: bool) -> Checked {
+    let Some(vacancies) = &recipe.vacancies else { return Ok(()) };
+    if vacancies.relaxation_angstrom != 0.0 {
+        let expected = "expected 0: the atoms of a stack do not relax";
+        return fault("vacancies.relaxation_angstrom", vacancies.relaxation_angstrom, expected);
+    }
+    if vacancies.clusters > 0 {
+        let expected =
+            "expected 0: vacancies of a stack gather at its interfaces, faults and dislocations";
+        return fault("vacancies.clusters", vacancies.clusters, expected);
+    }
+    if vacancies.cluster_fraction > 0.0 && !bounded {
+        let expected = "expected 0: this stack has no interface, fault or dislocation at which vacancies gather";
+        return fault("vacancies.cluster_fraction", vacancies.cluster_fraction, expected);
+    }
+    Ok(())
 }
 
 /// Returns the least distances of the atoms of a stack, and the symbols of its elements.

@@ -97,7 +97,7 @@ impl OwnAtoms {
         Ok(Self::in_columns(sites, extent, facts, Vec::new()))
     }
 
-    /// Holds the sites of a stack, in any order, with its boundaries.
+    /// Holds the sites of a stack, in any order, with its boundaries. `defects` returns the kind of a site and the element that it holds.
     ///
     /// # Errors
     /// [`Error::Invalid`] if there are too many sites.
@@ -106,10 +106,13 @@ impl OwnAtoms {
         recipe: &CheckedRecipe,
         facts: SpecimenFacts,
         boundaries: Vec<Boundary>,
+        defects: impl Fn(&SpecimenSite) -> (SiteKind, u8) + Sync,
     ) -> Result<Self> {
         check_count(sites.len() as f64)?;
         let extent = recipe.field.full_region().grown(BEYOND_FIELD_NM);
-        Ok(Self::in_columns(with_keys(sites), extent, facts, boundaries))
+        let mut sites = with_keys(sites);
+        sites.par_iter_mut().for_each(|(site, _)| (site.kind, site.number) = defects(site));
+        Ok(Self::in_columns(sites, extent, facts, boundaries))
     }
 
     /// Adds the particles whose atoms are among the sites.

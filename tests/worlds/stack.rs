@@ -303,6 +303,55 @@ amorphous = "SiO2"
     assert_eq!(specimen.facts().phases, ["si", "amorphous_SiO2"]);
 }
 
+/// Vacancies have their rate and gather at the interface with their standard deviation; substitutions are random.
+#[test]
+fn vacancies_gather_at_interfaces_and_substitutions_do_not() {
+    let defects = "[vacancies]\nelement = \"O\"\nrate = 0.05\ncluster_fraction = 0.9\ncluster_sigma_nm = 0.6\nmax_probability = 0.9\n\
+                   [substitutions]\nelement = \"Ti\"\nby = \"Nb\"\nrate = 0.2\n";
+    let elements = &[OXIDES, &["Nb"]].concat();
+    let recipe = checked(&format!("{JOINED}{defects}"), 6.0, elements);
+    let specimen = stemgen::specimen::specimen(&recipe).unwrap();
+    let interface = specimen.boundaries()[0].line_nm[0][0];
+    let found = specimen.sites(&recipe.field.full_region());
+    let oxygen: Vec<&SpecimenSite> = found.iter().filter(|s| s.number == number("O")).collect();
+    let vacant: Vec<f64> = oxygen
+        .iter()
+        .filter(|s| s.kind == SiteKind::Vacancy)
+        .map(|s| s.position_nm[0] - interface)
+        .collect();
+    let n = oxygen.len() as f64;
+    let share = vacant.len() as f64 / n;
+    assert!((share - 0.05).abs() < 4.0 * (0.05 / n).sqrt(), "{share}");
+    // One tenth is uniform over the field of 4.32 nm, the rest Gaussian.
+    let near = vacant.iter().filter(|d| d.abs() < 1.2).count() as f64 / vacant.len() as f64;
+    let expected = 0.9 * (normal_cdf(2.0) - normal_cdf(-2.0)) + 0.1 * 2.4 / 4.32;
+    assert!(
+        (near - expected).abs() < 4.0 * (0.25 / vacant.len() as f64).sqrt(),
+        "{near} {expected}"
+    );
+    let niobium = found.iter().filter(|s| s.number == number("Nb"));
+    let replaced = niobium.clone().count() as f64;
+    assert!(niobium.clone().all(|s| s.kind == SiteKind::Substitution));
+    let titanium = found.iter().filter(|s| s.number == number("Ti")).count() as f64;
+    let rate = replaced / (replaced + titanium);
+    assert!((rate - 0.2).abs() < 4.0 * (0.16 / (replaced + titanium)).sqrt(), "{rate}");
+    let refused = |from: &str, to: &str, stack: &str| -> String {
+        let text = format!("{stack}{}", defects.replace(from, to));
+        let made = self::recipe(&text, 0.8, elements).and_then(Recipe::checked);
+        made.err().map_or("no error".into(), |e| e.to_string())
+    };
+    let relaxed = "cluster_fraction = 0.9\nrelaxation_angstrom = 0.1";
+    let message = refused("cluster_fraction = 0.9", relaxed, JOINED);
+    assert!(message.contains("the atoms of a stack do not relax"), "{message}");
+    let message = refused("cluster_fraction = 0.9", "cluster_fraction = 0.9\nclusters = 3", JOINED);
+    assert!(message.contains("gather at its interfaces"), "{message}");
+    let message = refused("\"O\"", "\"Fe\"", JOINED);
+    assert!(message.contains("vacancies.element = Fe"), "{message}");
+    let alone = "[stack]\n[[stack.layers]]\ncrystal = \"srtio3\"\nzone_axis = \"[001]\"\n";
+    let message = refused("\"x\"", "\"x\"", alone);
+    assert!(message.contains("this stack has no interface"), "{message}");
+}
+
 #[test]
 fn sites_do_not_depend_on_the_number_of_threads() {
     let stack = format!(

@@ -1,16 +1,18 @@
 //! Specimens made of several crystals: their sites, interfaces, faults and dislocations.
 //!
-//! The layers are filled in undisturbed places, then the dislocations displace all atoms, and then atoms that overlap are left out. The
-//! sites are held in memory like the atoms of a file.
+//! The layers are filled in undisturbed places, then the dislocations displace all atoms, particles are laid on them, atoms that overlap are
+//! left out, and at last sites become vacant or hold other elements. The sites are held in memory like the atoms of a file.
 
 mod filling;
 mod interfaces;
 mod particles_on_layers;
+mod point_defects;
 mod truth_lines;
 
 use filling::{MadeSite, filled};
 use interfaces::Interfaces;
 use particles_on_layers::{LaidParticle, laid_particles};
+use point_defects::PointDefects;
 
 use super::own_atoms::{OwnAtoms, PlacedSite};
 use super::sites::{DISPLACED_NM, SpecimenSite};
@@ -68,7 +70,9 @@ pub fn stack(recipe: &CheckedRecipe) -> Result<OwnAtoms> {
         .collect();
     let boundaries = truth_lines::boundaries(table, crystals, &interfaces, extent);
     let held = particles.iter().map(LaidParticle::held).collect();
-    let own = OwnAtoms::of_sites(placed, recipe, facts(recipe, table, crystals), boundaries)?;
+    let defects = PointDefects::fit(recipe, crystals, &interfaces, &placed)?;
+    let facts = facts(recipe, table, crystals);
+    let own = OwnAtoms::of_sites(placed, recipe, facts, boundaries, |site| defects.of(site))?;
     Ok(own.with_particles(held))
 }
 
