@@ -37,6 +37,7 @@ fn main() {
                 dose: [500.0, 1e4],
                 sigma_px: 2.0,
                 seed: 1,
+                all_detectors: false,
             };
             for threads in [1, 2] {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();

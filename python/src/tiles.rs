@@ -32,6 +32,7 @@ struct Drawing {
     dose: Option<[f64; 2]>,
     sigma_px: f64,
     seed: u64,
+    all_detectors: bool,
     /// Number of samples after which a new specimen is laid out; `None` for one specimen.
     per_specimen: Option<u64>,
     cache: CacheChoice,
@@ -65,6 +66,7 @@ impl Source {
             dose: drawing.dose.unwrap_or([dose; 2]),
             sigma_px: drawing.sigma_px,
             seed: drawing.seed,
+            all_detectors: drawing.all_detectors,
         };
         options.check(&recipe.field)?;
         let cache = drawing.cache.cache();
@@ -168,6 +170,11 @@ fn listed(py: Python<'_>, index: u64, sample: TrainingSample) -> PyResult<Bound<
     out.set_item("electrons_per_pixel", sample.electrons_per_pixel)?;
     out.set_item("counts", sample.counts.into_pyarray(py))?;
     out.set_item("clean", sample.clean.into_pyarray(py))?;
+    let others = PyDict::new(py);
+    for other in sample.others {
+        others.set_item(other.name, (other.counts.into_pyarray(py), other.clean.into_pyarray(py)))?;
+    }
+    out.set_item("others", others)?;
     out.set_item("heat_map", sample.heat_map.into_pyarray(py))?;
     out.set_item("class_mask", sample.class_mask.into_pyarray(py))?;
     out.set_item("phase_mask", sample.phase_mask.into_pyarray(py))?;

@@ -214,6 +214,7 @@ class SampleOptions(TypedDict):
     dose: tuple[float, float] | None
     sigma_px: float
     seed: int
+    all_detectors: bool
     per_specimen: int | None
     cache: bool | str
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -69,6 +70,8 @@ class Sample:
         pixel_nm: edge of a pixel.
         angle_deg: angle between scan and specimen.
         centre_nm: centre ``(x, y)`` of the sample in the full field.
+        images: the images on all detectors by name, the main one first, as ``image``; with ``stream(..., detectors="all")``, else empty.
+        clean_images: these images without noise, as ``clean``.
     """
 
     index: int
@@ -82,6 +85,8 @@ class Sample:
     angle_deg: float
     centre_nm: tuple[float, float]
     recipe: str = ""
+    images: Mapping[str, npt.NDArray[np.float32]] = field(default_factory=dict)
+    clean_images: Mapping[str, npt.NDArray[np.float32]] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.image, self.targets))
@@ -92,7 +97,7 @@ class Stream:
 
     def __init__(self, fields: Sequence[_core.SampleOptions], weights: Sequence[float], seed: int, batch: int, threads: int | None) -> None:
         self._made = (tuple(fields), tuple(weights))
-        self._sources = [call(_core.TileSource, field, running(threads, False)) for field in fields]
+        self._sources = [call(_core.TileSource, one, running(threads, False)) for one in fields]
         self._used = Used("this stream", "make another one in the child")
         total = math.fsum(weights)
         self._shares = np.cumsum([weight / total for weight in weights])
@@ -151,6 +156,7 @@ def stream(
     pixel_nm: float | tuple[float, float] | None = None,
     angle_deg: float | tuple[float, float] = (0.0, 360.0),
     heat_sigma_px: float = 2.0,
+    detectors: Literal["main", "all"] = "main",
     seed: int = 1,
     samples_per_specimen: int | None = None,
     batch: int = 16,
@@ -171,6 +177,7 @@ def stream(
         pixel_nm: edge of a pixel, or a range; by default the recipe's value.
         angle_deg: angle between scan and specimen, or a range.
         heat_sigma_px: standard deviation, in pixels, of a column in the heat maps.
+        detectors: ``"all"`` adds the images on all detectors of the recipe (:attr:`Sample.images`), each with its own noise.
         samples_per_specimen: number of samples after which a new specimen, with a new seed, is laid out; by default all samples show one
             specimen.
         batch: number of samples that are made in parallel.
@@ -180,8 +187,11 @@ def stream(
         A :class:`Stream`. Iterate over it, or call :meth:`Stream.sample` with a number.
     """
     first, last = (math.radians(angle) for angle in _range("angle_deg", angle_deg))
+    if detectors not in ("main", "all"):
+        raise _invalid("detectors", f"detectors = {detectors!r}: expected 'main' or 'all'")
     options: _core.SampleOptions = {
         "toml": "",
+        "all_detectors": detectors == "all",
         "size_px": size,
         "pixel_nm": None if pixel_nm is None else _range("pixel_nm", pixel_nm),
         "angle_rad": (first, last),
@@ -242,6 +252,10 @@ def _sample(item: Mapping[str, Any], source: int, recipe: str) -> Sample:
     particles["x_px"], particles["y_px"], particles["radius_px"] = outlines.T
     particles["morphology"] = item["morphologies"]
     targets = Targets(item["heat_map"], item["class_mask"], item["phase_mask"], columns, particles)
+    names = _detector_names(recipe) if item["others"] else ["main"]
+    electrons = item["electrons_per_pixel"]
+    found = {names[0]: (counts, item["clean"]), **item["others"]}
+    images = {name: (counted / electrons).astype(np.float32) for name, (counted, _) in found.items()}
     return Sample(
         index=item["index"],
         source=source,
@@ -254,4 +268,12 @@ def _sample(item: Mapping[str, Any], source: int, recipe: str) -> Sample:
         angle_deg=math.degrees(item["angle_rad"]),
         centre_nm=tuple(item["centre_nm"]),
         recipe=recipe,
+        images=images if item["others"] else {},
+        clean_images={name: clean for name, (_, clean) in found.items()} if item["others"] else {},
     )
+
+
+def _detector_names(recipe: str) -> list[str]:
+    """Names of the tables ``[[detector]]`` of a recipe."""
+    tables = tomllib.loads(recipe)["detector"]
+    return [table["name"] for table in tables]

@@ -16,6 +16,19 @@ from stemworlds import simulation
 SCAN = sw.Scan(end=(0.25, 0.5), points=(5, 7))
 
 
+def test_sectors_of_a_detector() -> None:
+    silicon = ROOT / "structures/si.cif"
+    scan = sw.Scan(end=(0.5, 0.5), points=(3, 3))
+    images = sw.simulate(silicon, zone=(1, 1, 0), repeat=(3, 2, 2), scan=scan, detectors={"ABF": (10, 21), "DPC": (10, 21, 4, 45)})
+    assert list(images) == ["ABF", "DPC_0", "DPC_1", "DPC_2", "DPC_3"]
+    assert images["DPC_3"].metadata["sector_degrees"] == (315, 405)
+    total = sum(images[f"DPC_{n}"].array for n in range(4))
+    np.testing.assert_allclose(total, images["ABF"].array, rtol=2e-3)
+    for bad in ((10, 21, 1), (10, 21, 2.5), (10,), (10, 21, 4, 45, 3)):
+        with pytest.raises(sw.InvalidValue, match="detectors"):
+            sw.simulate(silicon, detectors={"DPC": bad})  # type: ignore[dict-item]
+
+
 def test_bytes_are_those_of_the_command_line(tmp_path: Path) -> None:
     silicon = ROOT / "structures/si.cif"
     end = "3.840297,2.715500"  # two cells of [110] are 7.68 x 5.43 A wide

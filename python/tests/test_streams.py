@@ -101,6 +101,24 @@ def test_mixtures_and_specimens_of_their_own() -> None:
     assert len({digest(sample) for sample in other.iterate(count=6)}) == 6
 
 
+def test_samples_of_all_detectors() -> None:
+    haadf = {"name": "HAADF", "inner_mrad": 68.0, "outer_mrad": 200.0}
+    halves = {"name": "HALF", "inner_mrad": 50.0, "outer_mrad": 150.0, "sectors": 2, "first_sector_deg": 90.0}
+    recipe = sw.Recipe("test", set={**TINY["set"], "detector": [haadf, halves]})
+    options = {**OPTIONS, "size": 16, "cache": False}
+    sample = sw.stream(recipe, detectors="all", **options).sample(1)
+    assert list(sample.images) == ["HAADF", "HALF_0", "HALF_1"] == list(sample.clean_images)
+    assert np.array_equal(sample.images["HAADF"], sample.image)
+    assert np.array_equal(sample.clean_images["HAADF"], sample.clean)
+    alone = sw.stream(recipe, **options).sample(1)
+    assert digest(alone) == digest(sample) and not alone.images
+    # the two halves of a wider annulus together are brighter than the narrow one
+    both = sample.clean_images["HALF_0"] + sample.clean_images["HALF_1"]
+    assert both.mean() > sample.clean.mean() and np.corrcoef(both.ravel(), sample.clean.ravel())[0, 1] > 0.9
+    with pytest.raises(sw.InvalidValue, match="'main' or 'all'"):
+        sw.stream(recipe, detectors="some", **options)  # type: ignore[call-overload]
+
+
 def test_particles_have_outlines(tmp_path: Path) -> None:
     recipe = sw.Recipe("pt", "easy", set={"field.fov_nm": [6.0, 6.0], "field.grid": [2, 2], "particles.count": 1, "phonons.configurations": 1, "field.thickness_nm": 1.0, "particles.diameter_nm": [1.5, 2.0]})
     stream = sw.stream(recipe, size=40, pixel_nm=0.1, angle_deg=0, seed=2, batch=2)

@@ -12,7 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from conftest import LONGEST_S, TINY, command
+from conftest import LONGEST_S, ROOT, TINY, command
 
 import stemworlds as sw
 
@@ -324,3 +324,24 @@ def test_a_cache_is_filled_in_parts_and_verified(tmp_path: Path, monkeypatch: py
         sw.cache.fill(recipe, shard=(2, 2))
     # Films share nothing.
     assert sw.cache.fill("pt", "easy") == sw.cache.Filling(0, 0, 0)
+
+
+def test_layers_dislocations_and_particles_of_a_stack(tmp_path: Path) -> None:
+    changes = {"field.thickness_nm": 0.39, "phonons.configurations": 1}
+    recipe = sw.Recipe(ROOT / "examples/stacks/srtio3_dislocation.toml", set=changes)
+    with sw.build(recipe, grid=(1, 1), out=tmp_path / "d.h5", audit=0) as world:
+        assert list(world.layers["phase"]) == ["srtio3"] and world.layers["turn_deg"][0] == 0
+        assert len(world.dislocations) == 1
+        np.testing.assert_allclose(world.dislocations["burgers_nm"][0], (0.3905, 0, 0), atol=1e-6)
+        assert abs(world.dislocations["y_nm"][0] - 2.5) < 0.2
+    recipe = sw.Recipe(
+        ROOT / "examples/particles/au_on_mgo.toml",
+        set={"phonons.configurations": 1, "stack.particles": [
+            {"crystal": "au.cif", "diameter_nm": [1.2, 1.2], "positions_nm": [[1.2, 1.2]], "shape": "sphere"}
+        ], "stack.begin_nm": 1.6, "field.thickness_nm": 2.0},
+    )
+    with sw.build(recipe, grid=(1, 1), out=tmp_path / "p.h5", audit=0) as world:
+        assert list(world.particles["morphology"]) == ["sphere"]
+        np.testing.assert_allclose(world.particles["diameter_nm"], 1.2, rtol=0.05)
+        assert (world.layers["phase"][0], world.layers["begin_nm"][0]) == ("mgo", np.float32(1.6))
+        assert set(np.unique(world.phase_map)) == {0, 1}

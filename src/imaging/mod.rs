@@ -55,4 +55,5 @@ pub use region_imager::{
 };
 pub use simulator::Simulator;
 pub(crate) use turned_raster::overview_image;
+pub(crate) use turned_raster::turned_images_of_others;
 pub use turned_raster::{TurnedRaster, turned_image};

@@ -3,7 +3,7 @@
 use ndarray::Array2;
 
 use super::pixels::{PixelBox, PixelRect};
-use super::region_imager::{RasterDetail, RegionImager};
+use super::region_imager::{DetectorChoice, RasterDetail, RegionImager};
 use crate::engine::Scan;
 use crate::error::{Error, Result};
 use crate::optics::Optics;
@@ -101,8 +101,27 @@ pub fn turned_image(
     let configurations = recipe.phonons.configurations.max(1);
     match imager.image_at(raster, RasterDetail::Full, configurations, progress)? {
         Some(image) => Ok(image),
-        None => from_pixels(recipe, imager, raster, configurations, progress),
+        None => main_from_pixels(recipe, imager, raster, configurations, progress),
     }
+}
+
+/// The noise-free images on all detectors but the main one at the places of a raster, each as [`turned_image`] makes the main one. They are
+/// interpolated from pixels of the field.
+///
+/// # Errors
+/// Errors of [`turned_image`].
+pub(crate) fn turned_images_of_others(
+    recipe: &CheckedRecipe,
+    imager: &dyn RegionImager,
+    raster: &TurnedRaster,
+    progress: &dyn Progress,
+) -> Result<Vec<Array2<f64>>> {
+    check_within(recipe, raster)?;
+    let configurations = recipe.phonons.configurations.max(1);
+    let mut images =
+        from_pixels(recipe, imager, raster, DetectorChoice::All, (configurations, progress))?;
+    images.remove(0);
+    Ok(images)
 }
 
 /// As [`turned_image`], with [`RasterDetail::Overview`].
@@ -119,8 +138,19 @@ pub(crate) fn overview_image(
     let configurations = recipe.phonons.configurations.max(1);
     match imager.image_at(raster, RasterDetail::Overview, configurations, progress)? {
         Some(image) => Ok(image),
-        None => from_pixels(recipe, imager, raster, configurations, progress),
+        None => main_from_pixels(recipe, imager, raster, configurations, progress),
     }
+}
+
+fn main_from_pixels(
+    recipe: &CheckedRecipe,
+    imager: &dyn RegionImager,
+    raster: &TurnedRaster,
+    configurations: usize,
+    progress: &dyn Progress,
+) -> Result<Array2<f64>> {
+    let made = (configurations, progress);
+    Ok(from_pixels(recipe, imager, raster, DetectorChoice::Main, made)?.swap_remove(0))
 }
 
 fn check_within(recipe: &CheckedRecipe, raster: &TurnedRaster) -> Result<()> {
@@ -138,14 +168,14 @@ fn check_within(recipe: &CheckedRecipe, raster: &TurnedRaster) -> Result<()> {
     Ok(())
 }
 
-/// Interpolates the pixels of the field.
+/// Interpolates the pixels of the field; the images of the chosen detectors, at least one.
 fn from_pixels(
     recipe: &CheckedRecipe,
     imager: &dyn RegionImager,
     raster: &TurnedRaster,
-    configurations: usize,
-    progress: &dyn Progress,
-) -> Result<Array2<f64>> {
+    detectors: DetectorChoice,
+    (configurations, progress): (usize, &dyn Progress),
+) -> Result<Vec<Array2<f64>>> {
     let (pixel, full) = (recipe.field.pixel_nm(), recipe.field.pixels(recipe.field.grid));
     let kernel = Kernel::new(10.0 * pixel, band_limit(recipe))?;
     let region = raster.region();
@@ -157,11 +187,14 @@ fn from_pixels(
     let (rows, columns) = (range(region.y, full[0]), range(region.x, full[1]));
     let pixels =
         PixelRect::new([rows[0], columns[0]], [rows[1] - rows[0], columns[1] - columns[0]]);
-    let values = imager.mean_of(&pixels, configurations, progress)?;
+    let all = imager.images_of(&pixels, detectors, configurations, progress)?;
     let first = [columns[0], rows[0]].map(|n| 10.0 * n as f64 * pixel);
-    let samples = ScannedSamples { values, first, step: 10.0 * pixel };
-    let image = samples.at(&raster.places_angstrom(), &kernel);
-    Ok(Array2::from_shape_vec(raster.shape, image).unwrap_or_default())
+    let places = raster.places_angstrom();
+    let image = |values: Array2<f64>| {
+        let samples = ScannedSamples { values, first, step: 10.0 * pixel };
+        Array2::from_shape_vec(raster.shape, samples.at(&places, &kernel)).unwrap_or_default()
+    };
+    Ok(all.into_iter().map(image).collect())
 }
 
 /// Highest frequency in images of a recipe, in 1/Angstrom.

@@ -88,7 +88,7 @@ pub use specimen_drawing::{Drawing, draw_specimen};
 pub use subtile_store::work_folder;
 #[cfg(feature = "report")]
 pub use training_file::write_training_set;
-pub use training_sample::{SampleOptions, TrainingSample, training_sample};
+pub use training_sample::{DetectorImage, SampleOptions, TrainingSample, training_sample};
 pub use training_set::{COLUMN_CLASSES, TrainingOptions, TrainingSet, training_set};
 #[cfg(feature = "hdf5")]
 pub use truth::Counts;

@@ -4,9 +4,10 @@ use ndarray::{Array2, arr2};
 
 use super::column_labels::{REACH_SIGMAS, class_of, draw_column, facts_of};
 use super::region_truth::{list, phases_of_points};
+use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::imaging::{Noise, check_countable};
-use crate::imaging::{RegionImager, TurnedRaster, turned_image};
+use crate::imaging::{RegionImager, TurnedRaster, turned_image, turned_images_of_others};
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Field};
 use crate::rng::{self, Purpose};
@@ -36,6 +37,20 @@ pub struct SampleOptions {
     pub sigma_px: f64,
     /// Seed of places, angles, pixels, doses and noise.
     pub seed: u64,
+    /// Whether samples have the images of all detectors of the recipe; otherwise they have the image of the main one.
+    pub all_detectors: bool,
+}
+
+/// The image of a sample on a detector beside the main one. Each detector has its own shot noise.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct DetectorImage {
+    /// Name of the detector.
+    pub name: String,
+    /// Counted electrons.
+    pub counts: Array2<u32>,
+    /// The image without noise, as fraction of the beam.
+    pub clean: Array2<f32>,
 }
 
 /// A labelled image. All arrays of images are [row, column] = [y, x].
@@ -52,6 +67,8 @@ pub struct TrainingSample {
     pub counts: Array2<u32>,
     /// The image without noise, as fraction of the beam.
     pub clean: Array2<f32>,
+    /// The images on the other detectors, in the order of the recipe, if the options ask for them.
+    pub others: Vec<DetectorImage>,
     /// Gaussians of height 1 about columns; the nearest column counts.
     pub heat_map: Array2<f32>,
     /// Index into [`COLUMN_CLASSES`](super::COLUMN_CLASSES): the class of the nearest column where its heat map is above one half.
@@ -160,19 +177,29 @@ pub fn training_sample(
     let place_nm = raster.places_nm();
     // Each sample takes its noise from other rows of an endless field of noise.
     let origin_px = [(index as usize).wrapping_mul(size), 0];
-    let noise = Noise {
+    let noise = |detector: usize| Noise {
         seed: options.seed,
         electrons_per_pixel,
         origin_px,
         full_width_px: size,
-        detector: 0,
+        detector,
     };
+    let others = match options.all_detectors && recipe.detector.count() > 1 {
+        true => turned_images_of_others(recipe, imager, &raster, progress)?,
+        false => Vec::new(),
+    };
+    let other = |(n, (image, detector)): (usize, (Array2<f64>, Detector))| {
+        let clean = image.mapv(|v| v.max(0.0) as f32);
+        DetectorImage { name: detector.name, counts: noise(n + 1).counted(&clean), clean }
+    };
+    let named = others.into_iter().zip(recipe.detector.all().into_iter().skip(1));
     let mut sample = TrainingSample {
         raster,
         dose,
         electrons_per_pixel,
-        counts: noise.counted(&clean),
+        counts: noise(0).counted(&clean),
         clean,
+        others: named.enumerate().map(other).collect(),
         heat_map: Array2::zeros((size, size)),
         class_mask: Array2::zeros((size, size)),
         phase_mask: phases_of_points(specimen, [size; 2], |row, column| {

@@ -279,6 +279,7 @@ fn everything_that_worlds_are_made_for_takes_own_atoms() {
             .is_none_or(|m| m.images == 0)
     );
     let samples = SampleOptions {
+        all_detectors: false,
         size_px: 32,
         pixel_nm: [0.05, 0.06],
         angle_rad: [-3.0, 3.0],

@@ -109,7 +109,47 @@ fn options() -> SampleOptions {
         dose: [1e3, 1e6],
         sigma_px: 2.0,
         seed: 7,
+        all_detectors: false,
     }
+}
+
+/// Samples of a recipe with several detectors: the main image as without the others, which show the same place.
+#[test]
+fn samples_have_the_images_of_all_detectors_where_they_are_wanted() {
+    let changes = [
+        "detector=[{name=\"HAADF\",inner_mrad=68.0,outer_mrad=200.0},{name=\"MAADF\",inner_mrad=50.0,outer_mrad=150.0},\
+         {name=\"S\",inner_mrad=50.0,outer_mrad=150.0,sectors=2}]",
+        "field.thickness_nm=0.4",
+    ];
+    let changes = changes.map(|c| c.parse().unwrap());
+    let recipe = Recipe::load("srtio3", Difficulty::Easy).unwrap().with_overrides(&changes);
+    let recipe = recipe.unwrap().checked().unwrap();
+    let specimen = stemgen::specimen::specimen(&recipe).unwrap();
+    let simulator = Simulator::new(&recipe, Algorithm::Window { width_angstrom: 7.8 });
+    let imager = DirectImager::new(&recipe, &specimen, simulator).unwrap();
+    let sample = |all_detectors: bool| {
+        let options = SampleOptions { size_px: 24, all_detectors, ..options() };
+        training_sample(&recipe, &*specimen, &imager, &options, 3, &Silent).unwrap()
+    };
+    let (main, all) = (sample(false), sample(true));
+    assert!(main.others.is_empty());
+    assert_eq!((&main.clean, &main.counts), (&all.clean, &all.counts));
+    let names: Vec<&str> = all.others.iter().map(|other| other.name.as_str()).collect();
+    assert_eq!(names, ["MAADF", "S_0", "S_1"]);
+    let [maadf, first, second] = &all.others[..] else { panic!() };
+    let of = |image: &Array2<f32>| image.mapv(f64::from);
+    let sum = of(&first.clean) + of(&second.clean);
+    assert!(difference(&sum, &of(&maadf.clean)) < 0.5);
+    // They show one place: a detector that begins lower is brighter, where the main one is bright.
+    let (a, b) = (of(&all.clean), of(&maadf.clean));
+    let [mean_a, mean_b] = [&a, &b].map(|image| image.mean().unwrap());
+    assert!(mean_b > mean_a);
+    let covariance = ((&a - mean_a) * (&b - mean_b)).mean().unwrap();
+    assert!(covariance / (a.std(0.0) * b.std(0.0)) > 0.9);
+    // Each has electrons of its own.
+    let electrons = mean_b * all.electrons_per_pixel * 576.0;
+    let counted: f64 = maadf.counts.iter().map(|n| f64::from(*n)).sum();
+    assert!((counted - electrons).abs() < 5.0 * electrons.sqrt(), "{counted} {electrons}");
 }
 
 #[test]
