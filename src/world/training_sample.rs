@@ -177,7 +177,7 @@ pub fn training_sample(
     let place_nm = raster.places_nm();
     // Each sample takes its noise from other rows of an endless field of noise.
     let origin_px = [(index as usize).wrapping_mul(size), 0];
-    let noise = |detector: usize| Noise {
+    let noise = |detector: u16| Noise {
         seed: options.seed,
         electrons_per_pixel,
         origin_px,
@@ -190,7 +190,7 @@ pub fn training_sample(
     };
     let other = |(n, (image, detector)): (usize, (Array2<f64>, Detector))| {
         let clean = image.mapv(|v| v.max(0.0) as f32);
-        DetectorImage { name: detector.name, counts: noise(n + 1).counted(&clean), clean }
+        DetectorImage { name: detector.name, counts: noise(n as u16 + 1).counted(&clean), clean }
     };
     let named = others.into_iter().zip(recipe.detector.all().into_iter().skip(1));
     let mut sample = TrainingSample {

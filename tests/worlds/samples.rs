@@ -9,7 +9,7 @@ use stemgen::imaging::{
     TurnedRaster, turned_image,
 };
 use stemgen::progress::Silent;
-use stemgen::recipe::{CheckedRecipe, Recipe};
+use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
 use stemgen::specimen::{Specimen, specimen};
 use stemgen::world::{SampleOptions, training_sample};
 

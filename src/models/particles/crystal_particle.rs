@@ -8,11 +8,12 @@ use super::facets::Polyhedron;
 use crate::structure::Structure;
 use crate::structure::lattice::{Vec3, determinant, face_distances, inverse, norm, row_times};
 
-/// The centre is tried at this many places along each vector of the cell.
+/// The centre is tried at this many places along each vector of the cell; at half as many, and at a few atoms, for particles of many atoms.
 const CENTRES: usize = 4;
-/// Number of sizes that are tried, and the share by which the number of atoms may differ from the wanted one without a further try.
-const SIZES: usize = 4;
-const NEAR_ENOUGH: f64 = 0.01;
+const MANY_ATOMS: f64 = 8000.0;
+const FEW: usize = 8;
+/// Share by which the number of atoms may differ from the wanted one.
+const NEAR_ENOUGH: f64 = 0.02;
 /// Atoms nearer than this are bonded, in units of the shortest distance of either atom in the crystal.
 const BOND: f64 = 1.2;
 /// An atom that keeps less than this share of its bonds is left out.
@@ -128,52 +129,64 @@ pub fn volume_per_atom(crystal: &Structure) -> f64 {
 }
 
 /// Returns the atoms (place in Angstrom in the axes of the crystal, relative to their mean; atomic number) of a particle of the shape of
-/// `body`, whose number of atoms is nearest to what fills a volume in cubic Angstrom, among a few sizes about this one.
+/// `body`, which has a volume in cubic Angstrom.
 ///
-/// The centre of the body is put where the particle has the least energy of broken bonds for its size: the sum of `1 - sqrt(z / Z)` over
-/// its atoms, which keep z of their Z bonds, divided by the number of atoms to the power 2/3 (the second-moment approximation of tight
-/// binding, F. Ducastelle, J. Phys. (Paris) 31, 1055 (1970)). 64 places in the cell and the places of the atoms are tried. Then atoms that
-/// keep less than a third of their bonds are left out, as often as there are any.
+/// Sizes about this volume are tried, and centres of the body: places on a grid in the cell, and the places of the atoms. Among the particles
+/// whose number of atoms differs by at most 2 % from what fills the volume, the one with the least energy of broken bonds for its size is
+/// taken: the sum of `1 - sqrt(z / Z)` over its atoms, which keep z of their Z bonds, divided by the number of atoms to the power 2/3 (the
+/// second-moment approximation of tight binding, F. Ducastelle, J. Phys. (Paris) 31, 1055 (1970)). Without any such particle, the number of
+/// atoms decides. Then atoms that keep less than a third of their bonds are left out, as often as there are any.
 pub fn crystal_particle(crystal: &Structure, body: &ParticleBody, volume: f64) -> Vec<(Vec3, u8)> {
-    let wanted = volume / volume_per_atom(crystal);
-    let off = |atoms: &[(Vec3, u8)]| (atoms.len() as f64 / wanted - 1.0).abs();
-    let (mut size, mut best) = (1.0, Vec::new());
-    // Atoms lie on the facets, so that a particle fills more than its polyhedron.
-    for _ in 0..SIZES {
-        let atoms = cut_from(crystal, &body.scaled(size));
-        size *= libm::cbrt(wanted / atoms.len().max(1) as f64).clamp(0.8, 1.25);
-        if best.is_empty() || off(&atoms) < off(&best) {
-            best = atoms;
-        }
-        if off(&best) < NEAR_ENOUGH {
-            break;
-        }
-    }
-    best
-}
-
-fn cut_from(crystal: &Structure, body: &ParticleBody) -> Vec<(Vec3, u8)> {
     let bonds = Bonds::new(crystal);
-    let step = 1.0 / CENTRES as f64;
-    let grid = (0..CENTRES.pow(3)).map(|n| {
-        let index = [n / CENTRES / CENTRES, n / CENTRES % CENTRES, n % CENTRES];
-        row_times(index.map(|i| step * i as f64), &crystal.cell)
-    });
-    let centres: Vec<Vec3> = grid.chain(crystal.atoms.iter().map(|a| a.position)).collect();
-    let energies: Vec<f64> =
-        centres.par_iter().map(|centre| energy(crystal, body, &bonds, *centre)).collect();
-    let best = (0..centres.len()).min_by(|a, b| {
-        // Places that symmetry relates differ by rounding; the first one is taken.
-        let [a, b] = [a, b].map(|n| (energies[*n] * 1e9).round());
-        a.total_cmp(&b)
-    });
-    let Some(best) = best else { return Vec::new() };
-    let kept = trimmed(inside(crystal, body, centres[best]), &bonds);
+    let wanted = volume / volume_per_atom(crystal);
+    let bodies: Vec<ParticleBody> =
+        sizes(wanted, volume, &bonds).into_iter().map(|size| body.scaled(size)).collect();
+    let centres = centres(crystal, wanted);
+    let tries: Vec<(usize, usize)> =
+        (0..bodies.len()).flat_map(|b| (0..centres.len()).map(move |c| (b, c))).collect();
+    let found: Vec<(f64, f64)> = tries
+        .par_iter()
+        .map(|&(b, c)| {
+            let (count, energy) = count_and_energy(crystal, &bodies[b], &bonds, centres[c]);
+            ((count as f64 / wanted - 1.0).abs(), energy)
+        })
+        .collect();
+    // Places that symmetry relates differ by rounding; the first one is taken.
+    let rank = |n: &usize| {
+        let (off, energy) = found[*n];
+        let near = off <= NEAR_ENOUGH;
+        (!near, (1e9 * if near { energy } else { off }).round() as u64)
+    };
+    let Some(best) = (0..tries.len()).min_by_key(rank) else { return Vec::new() };
+    let (b, c) = tries[best];
+    let kept = trimmed(inside(crystal, &bodies[b], centres[c]), &bonds);
     let atoms: Vec<(Vec3, u8)> =
         kept.iter().map(|label| (place(crystal, *label), crystal.atoms[label.1].number)).collect();
     let count = atoms.len().max(1) as f64;
     let mean: Vec3 = std::array::from_fn(|k| atoms.iter().map(|(p, _)| p[k]).sum::<f64>() / count);
     atoms.iter().map(|(p, z)| (std::array::from_fn(|k| p[k] - mean[k]), *z)).collect()
+}
+
+/// Returns the sizes that are tried, relative to the volume. Atoms lie on the facets, so that a particle fills more than its polyhedron: by
+/// up to half a bond on each side.
+fn sizes(wanted: f64, volume: f64, bonds: &Bonds) -> Vec<f64> {
+    let radius = libm::cbrt(0.75 * volume / std::f64::consts::PI);
+    let spread = (0.8 * bonds.longest / radius).min(0.4);
+    let count = (60_000.0 / wanted).clamp(9.0, 31.0) as usize;
+    let step = 1.3 * spread / (count - 1) as f64;
+    (0..count).map(|n| 1.0 - spread + step * n as f64).collect()
+}
+
+/// Returns the centres that are tried; fewer for particles of many atoms, of which each has many facets to choose from.
+fn centres(crystal: &Structure, wanted: f64) -> Vec<Vec3> {
+    let edge = if wanted < MANY_ATOMS { CENTRES } else { CENTRES / 2 };
+    let step = 1.0 / edge as f64;
+    let grid = (0..edge.pow(3)).map(|n| {
+        let index = [n / edge / edge, n / edge % edge, n % edge];
+        row_times(index.map(|i| step * i as f64), &crystal.cell)
+    });
+    let of_atoms = crystal.atoms.iter().map(|atom| atom.position);
+    grid.chain(of_atoms.take(if wanted < MANY_ATOMS { usize::MAX } else { FEW })).collect()
 }
 
 /// Returns the atoms within a body about a centre, cell by cell.
@@ -201,10 +214,16 @@ fn inside(crystal: &Structure, body: &ParticleBody, centre: Vec3) -> Vec<Label> 
     found
 }
 
-fn energy(crystal: &Structure, body: &ParticleBody, bonds: &Bonds, centre: Vec3) -> f64 {
+/// Returns the number of atoms of a particle, and the energy of its broken bonds for its size.
+fn count_and_energy(
+    crystal: &Structure,
+    body: &ParticleBody,
+    bonds: &Bonds,
+    centre: Vec3,
+) -> (usize, f64) {
     let atoms = inside(crystal, body, centre);
     if atoms.is_empty() {
-        return f64::INFINITY;
+        return (0, f64::INFINITY);
     }
     let from_centre = |label: Label| {
         let at = place(crystal, label);
@@ -221,7 +240,7 @@ fn energy(crystal: &Structure, body: &ParticleBody, bonds: &Bonds, centre: Vec3)
         missing += 1.0 - (kept as f64 / own.len() as f64).sqrt();
     }
     let edge = libm::cbrt(atoms.len() as f64);
-    missing / (edge * edge)
+    (atoms.len(), missing / (edge * edge))
 }
 
 /// Leaves out atoms that keep too few bonds.
