@@ -10,7 +10,7 @@ use stemgen::recipe::Recipe;
 use stemgen::specimen::{ParticleTruth, SpecimenSite};
 use stemgen::world::BuildOptions;
 
-/// MgO lies in another folder than the stacks, so GaAs is the oxide here.
+/// Platinum on GaAs, whose crystals come with the program.
 const GOLD_ON_SLAB: &str = r#"
 [stack]
 along = "z"
@@ -67,7 +67,7 @@ fn a_particle_rests_on_the_slab_with_the_plane_and_the_direction_that_were_asked
     let found = sites(&checked(GOLD_ON_SLAB, 4.5, ON_SLAB));
     let (metal, slab) = (of(&found, &["Pt"]), of(&found, &["Ga", "As"]));
     // The mean of the shortest distances of Pt-Pt and Ga-As; both faces are flat.
-    let contact = 0.5 * (0.39242 / 2f64.sqrt() + 0.56533 * 3f64.sqrt() / 4.0);
+    let contact = 0.5 * (0.39236 / 2f64.sqrt() + 0.56533 * 3f64.sqrt() / 4.0);
     let gap = nearest(&metal, &slab);
     assert!((gap - contact).abs() < 1e-3, "{gap} {contact}");
     assert!(slab.iter().all(|at| at[2] > 2.99));
@@ -75,7 +75,7 @@ fn a_particle_rests_on_the_slab_with_the_plane_and_the_direction_that_were_asked
     let lowest = metal.iter().map(|at| at[2]).fold(f64::NEG_INFINITY, f64::max);
     let corner = metal.iter().find(|at| (at[2] - lowest).abs() < 1e-6).unwrap();
     for at in &metal {
-        let halves = [0, 1, 2].map(|k| (at[k] - corner[k]) / (0.5 * 0.39242));
+        let halves = [0, 1, 2].map(|k| (at[k] - corner[k]) / (0.5 * 0.39236));
         assert!(halves.iter().all(|h| (h - h.round()).abs() < 1e-6), "{halves:?}");
     }
     // Cut at 0.3 where the opposite facet has 1.19: the face on the slab is larger, and lies nearer to the widest plane.
@@ -92,7 +92,7 @@ fn a_particle_rests_on_the_slab_with_the_plane_and_the_direction_that_were_asked
     assert!((metal.len() as f64 / uncut.len() as f64 - 1.0).abs() < 0.15);
     assert!(tall(&metal) < 0.9 * tall(&uncut), "{} {}", tall(&metal), tall(&uncut));
     let truth = &particles(GOLD_ON_SLAB, 4.5, ON_SLAB)[0];
-    let atoms = truth.diameter_nm.powi(3) * std::f64::consts::PI / 6.0 / 0.39242f64.powi(3) * 4.0;
+    let atoms = truth.diameter_nm.powi(3) * std::f64::consts::PI / 6.0 / 0.39236f64.powi(3) * 4.0;
     assert!((atoms - metal.len() as f64).abs() < 0.5, "{atoms} {}", metal.len());
     assert_eq!(truth.morphology, "wulff");
 }

@@ -14,8 +14,8 @@ const MANY_ATOMS: f64 = 8000.0;
 const FEW: usize = 8;
 /// Share by which the number of atoms may differ from the wanted one.
 const NEAR_ENOUGH: f64 = 0.02;
-/// Atoms nearer than this are bonded, in units of the shortest distance of either atom in the crystal.
-const BOND: f64 = 1.2;
+/// Atoms nearer than this are bonded, in units of the shortest distance of the atom in the crystal; O and O of fluorite are at 1.155.
+const BOND: f64 = 1.15;
 /// An atom that keeps less than this share of its bonds is left out.
 const LEAST_BONDS: f64 = 1.0 / 3.0;
 /// Atoms within this distance outside a facet belong to the particle, in Angstrom.
