@@ -387,7 +387,7 @@ mod tests {
                 for share in shares {
                     assert!((share * sectors as f64 / p[1] - 1.0).abs() < 0.06, "{share} {}", p[1]);
                 }
-                // A quadrant is a quarter, whatever its first azimuth.
+                // A quadrant is a quarter.
                 let share = divided[0].azimuth_share();
                 assert!((share * sectors as f64 - 1.0).abs() < 1e-12);
             }

@@ -251,7 +251,7 @@ impl WorldReader {
     }
 
     /// Returns the layers of a stack: phase, range in nm, strain along x, y and z, and turn about the beam in degrees.
-    fn layers(&self, py: Python<'_>) -> PyResult<Vec<(String, [f32; 2], [f32; 3], f32)>> {
+    fn layers(&self, py: Python<'_>) -> PyResult<Vec<LayerFields>> {
         let rows = self.with(py, |world| Ok(world.layers()?))?;
         Ok(rows
             .into_iter()
@@ -271,6 +271,9 @@ impl WorldReader {
         Ok(PyBytes::new(py, &bytes))
     }
 }
+
+/// A layer of a stack: phase, range in nm, strain along x, y and z, and turn about the beam in degrees.
+type LayerFields = (String, [f32; 2], [f32; 3], f32);
 
 /// Lists of sites.
 #[derive(Default)]

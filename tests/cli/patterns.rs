@@ -83,7 +83,7 @@ fn sectors_of_images_and_of_patterns_agree() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     silicon(here);
-    let scan = &SMALL[..9];
+    let scan = &SMALL[..8];
     let exact = ["--engine", "multislice"];
     let patterns = ["--pixels", "96", "--max-angle", "40", "-o", "p.emd"];
     done(here, &[&["patterns", "si.cif"], scan, &exact, &patterns].concat());
