@@ -182,20 +182,26 @@ impl RegionImager for DirectImager {
         Ok(images)
     }
 
-    fn image_at(
+    fn images_at(
         &self,
         raster: &TurnedRaster,
         _: RasterDetail,
+        detectors: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Option<Array2<f64>>> {
+    ) -> Result<Option<Vec<Array2<f64>>>> {
         let around = (self.simulator.margin_angstrom(), self.thickness_nm());
         let band_limit = image_band_limit(&self.simulator.settings().optics);
         let places = raster.places_angstrom();
-        let values = between_probes(&places, band_limit, around, |pixels| {
-            Ok(self.simulate_box(pixels, configurations, progress)?.swap_remove(0))
+        let all = between_probes(&places, band_limit, around, |pixels| {
+            let mut images = self.simulate_box(pixels, configurations, progress)?;
+            if detectors == DetectorChoice::Main {
+                images.truncate(1);
+            }
+            Ok(images)
         })?;
-        Ok(Array2::from_shape_vec(raster.shape, values).ok())
+        let image = |values| Array2::from_shape_vec(raster.shape, values).ok();
+        Ok(all.into_iter().map(image).collect())
     }
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {

@@ -122,18 +122,19 @@ pub trait RegionImager: Send + Sync {
         progress: &dyn Progress,
     ) -> Result<Vec<Array2<f64>>>;
 
-    /// The noise-free image on the main detector at the places of a raster, [row, column], as fraction of the beam. `None` for imagers
-    /// without a method for rasters: [`turned_image`](super::turned_raster::turned_image) then interpolates the pixels of the field.
+    /// The noise-free images at the places of a raster, [row, column], as fraction of the beam; overviews have the main one alone. `None` for
+    /// imagers without a method for rasters: [`turned_image`](super::turned_raster::turned_image) then interpolates the pixels of the field.
     ///
     /// # Errors
     /// Errors of the engine, and [`crate::Error::Interrupted`].
-    fn image_at(
+    fn images_at(
         &self,
         raster: &TurnedRaster,
         detail: RasterDetail,
+        detectors: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Option<Array2<f64>>>;
+    ) -> Result<Option<Vec<Array2<f64>>>>;
 
     /// The displaced atoms of an area (nm of the full field) in one phonon configuration, as the image shows them.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms;

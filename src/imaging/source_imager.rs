@@ -110,13 +110,14 @@ impl RegionImager for SourceImager {
         })
     }
 
-    fn image_at(
+    fn images_at(
         &self,
         _: &TurnedRaster,
         _: RasterDetail,
+        _: DetectorChoice,
         _: usize,
         _: &dyn Progress,
-    ) -> Result<Option<Array2<f64>>> {
+    ) -> Result<Option<Vec<Array2<f64>>>> {
         Ok(None)
     }
 

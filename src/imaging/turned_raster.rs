@@ -99,14 +99,10 @@ pub fn turned_image(
 ) -> Result<Array2<f64>> {
     check_within(recipe, raster)?;
     let configurations = recipe.phonons.configurations.max(1);
-    match imager.image_at(raster, RasterDetail::Full, configurations, progress)? {
-        Some(image) => Ok(image),
-        None => main_from_pixels(recipe, imager, raster, configurations, progress),
-    }
+    main_image(recipe, imager, raster, RasterDetail::Full, (configurations, progress))
 }
 
-/// The noise-free images on all detectors but the main one at the places of a raster, each as [`turned_image`] makes the main one. They are
-/// interpolated from pixels of the field.
+/// The noise-free images on all detectors but the main one at the places of a raster, each as [`turned_image`] makes the main one.
 ///
 /// # Errors
 /// Errors of [`turned_image`].
@@ -118,8 +114,11 @@ pub(crate) fn turned_images_of_others(
 ) -> Result<Vec<Array2<f64>>> {
     check_within(recipe, raster)?;
     let configurations = recipe.phonons.configurations.max(1);
-    let mut images =
-        from_pixels(recipe, imager, raster, DetectorChoice::All, (configurations, progress))?;
+    let (detail, all) = (RasterDetail::Full, DetectorChoice::All);
+    let mut images = match imager.images_at(raster, detail, all, configurations, progress)? {
+        Some(images) => images,
+        None => from_pixels(recipe, imager, raster, all, (configurations, progress))?,
+    };
     images.remove(0);
     Ok(images)
 }
@@ -136,21 +135,22 @@ pub(crate) fn overview_image(
 ) -> Result<Array2<f64>> {
     check_within(recipe, raster)?;
     let configurations = recipe.phonons.configurations.max(1);
-    match imager.image_at(raster, RasterDetail::Overview, configurations, progress)? {
-        Some(image) => Ok(image),
-        None => main_from_pixels(recipe, imager, raster, configurations, progress),
-    }
+    main_image(recipe, imager, raster, RasterDetail::Overview, (configurations, progress))
 }
 
-fn main_from_pixels(
+fn main_image(
     recipe: &CheckedRecipe,
     imager: &dyn RegionImager,
     raster: &TurnedRaster,
-    configurations: usize,
-    progress: &dyn Progress,
+    detail: RasterDetail,
+    (configurations, progress): (usize, &dyn Progress),
 ) -> Result<Array2<f64>> {
-    let made = (configurations, progress);
-    Ok(from_pixels(recipe, imager, raster, DetectorChoice::Main, made)?.swap_remove(0))
+    let main = DetectorChoice::Main;
+    let mut images = match imager.images_at(raster, detail, main, configurations, progress)? {
+        Some(images) => images,
+        None => from_pixels(recipe, imager, raster, main, (configurations, progress))?,
+    };
+    Ok(images.swap_remove(0))
 }
 
 fn check_within(recipe: &CheckedRecipe, raster: &TurnedRaster) -> Result<()> {
@@ -235,7 +235,8 @@ impl ScannedSamples {
     }
 }
 
-/// The image at places (x, y) in Angstrom of the full field, interpolated from probes that `simulate` propagates around them. The scan is
+/// The values of images at places (x, y) in Angstrom of the full field, interpolated from probes that `simulate` propagates around them. The
+/// scan is
 /// as fine as the image's band limit (1/Angstrom) needs, with `margin_angstrom` of specimen around it.
 ///
 /// # Errors
@@ -244,8 +245,8 @@ pub(super) fn between_probes(
     places: &[[f64; 2]],
     band_limit: f64,
     (margin_angstrom, thickness_nm): (f64, f64),
-    simulate: impl FnOnce(&PixelBox) -> Result<Array2<f64>>,
-) -> Result<Vec<f64>> {
+    simulate: impl FnOnce(&PixelBox) -> Result<Vec<Array2<f64>>>,
+) -> Result<Vec<Vec<f64>>> {
     let step = Kernel::default_step(band_limit);
     let kernel = Kernel::new(step, band_limit)?;
     let range = |k: usize| {
@@ -269,8 +270,9 @@ pub(super) fn between_probes(
         step_angstrom: [step; 2],
         shape: [rows, columns],
     };
-    let values = simulate(&PixelBox::of_area(area, scan, 10.0 * thickness_nm))?;
-    Ok(ScannedSamples { values, first: [x, y], step }.at(places, &kernel))
+    let images = simulate(&PixelBox::of_area(area, scan, 10.0 * thickness_nm))?;
+    let at = |values| ScannedSamples { values, first: [x, y], step }.at(places, &kernel);
+    Ok(images.into_iter().map(at).collect())
 }
 
 #[cfg(test)]

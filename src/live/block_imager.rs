@@ -226,13 +226,14 @@ impl RegionImager for BlockImager {
         Ok(vec![pixels.sampled(image)])
     }
 
-    fn image_at(
+    fn images_at(
         &self,
         _: &TurnedRaster,
         _: RasterDetail,
+        _: DetectorChoice,
         _: usize,
         _: &dyn Progress,
-    ) -> Result<Option<Array2<f64>>> {
+    ) -> Result<Option<Vec<Array2<f64>>>> {
         Ok(None)
     }
 

@@ -80,13 +80,14 @@ impl<E: StandIn> RegionImager for StandInImager<E> {
         let sites: Vec<Site> = sites.iter().filter_map(atom).collect();
         Ok(vec![self.engine.image(&sites, &pixels)?])
     }
-    fn image_at(
+    fn images_at(
         &self,
         _: &TurnedRaster,
         _: RasterDetail,
+        _: DetectorChoice,
         _: usize,
         _: &dyn Progress,
-    ) -> Result<Option<Array2<f64>>> {
+    ) -> Result<Option<Vec<Array2<f64>>>> {
         Ok(None)
     }
     fn atoms(&self, _: &Region, _: usize) -> DisplacedAtoms {

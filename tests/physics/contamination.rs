@@ -50,13 +50,14 @@ impl RegionImager for Vacuum {
         Ok(vec![Array2::zeros(pixels.sampled_shape())])
     }
 
-    fn image_at(
+    fn images_at(
         &self,
         _: &TurnedRaster,
         _: RasterDetail,
+        _: DetectorChoice,
         _: usize,
         _: &dyn Progress,
-    ) -> stemgen::Result<Option<Array2<f64>>> {
+    ) -> stemgen::Result<Option<Vec<Array2<f64>>>> {
         Ok(None)
     }
 

@@ -430,3 +430,49 @@ fn patterns_are_those_of_abtem() {
         assert!(moved < 0.005, "{n}: {moved}");
     }
 }
+
+/// Sectors of an annulus against a pattern of abTEM 1.0.11 at a place without symmetry: whole pixels of the Fourier grid within the annulus,
+/// and of each pixel the share of its area in the sector.
+#[test]
+fn sectors_are_those_of_a_pattern_of_abtem() {
+    const POINTS: usize = 40;
+    let g = Golden::load("exit_intensity").unwrap();
+    let at: Vec<f64> =
+        g.json["position_A"].as_array().unwrap().iter().filter_map(|v| v.as_f64()).collect();
+    let pattern = g.matrix("intensity").unwrap();
+    let wavelength = g.json["conventions"]["wavelength_A"].as_f64().unwrap();
+    let pixel = 1e3 * wavelength / g.json["cell_A"][0].as_f64().unwrap();
+    let detectors = Detector::new("S", 15.0, 60.0).divided(4, 30.0);
+    let settings = Settings { probe_step: ProbeStep::Scan, ..g.settings() };
+    let plan = g.plan(&Settings { detectors: detectors.clone(), ..settings }).unwrap();
+    let origin_angstrom = [at[0], at[1]];
+    let scan = Scan { origin_angstrom, step_angstrom: [1.0; 2], shape: [1, 1] };
+    let found = simulate(&plan, &g.sites, &scan, &Silent).unwrap();
+    let middle = (pattern.nrows() / 2) as f64;
+    let mut sums = Vec::new();
+    for (n, detector) in detectors.iter().enumerate() {
+        let [from, to] = detector.sector_degrees.unwrap();
+        let mut expected = 0.0;
+        for ((row, column), intensity) in pattern.indexed_iter() {
+            let [x, y] = [column, row].map(|k| pixel * (k as f64 - middle));
+            if !(15.0..60.0).contains(&x.hypot(y)) {
+                continue;
+            }
+            let offset = |k: usize| pixel * ((k as f64 + 0.5) / POINTS as f64 - 0.5);
+            let points = (0..POINTS * POINTS).map(|k| {
+                let (x, y) = (x + offset(k % POINTS), y + offset(k / POINTS));
+                y.atan2(x).to_degrees().rem_euclid(360.0)
+            });
+            let inside = points
+                .filter(|a| (from..to).contains(a) || (from..to).contains(&(a + 360.0)))
+                .count();
+            expected += intensity * inside as f64 / (POINTS * POINTS) as f64;
+        }
+        let found = f64::from(found.image(0, n)[[0, 0]]);
+        println!("{}: {found:.6} {expected:.6}", detector.name);
+        assert!((found / expected - 1.0).abs() < 2e-3, "{}: {found} {expected}", detector.name);
+        sums.push(found);
+    }
+    let [low, high] = [f64::min, f64::max].map(|pick| sums.iter().copied().reduce(pick).unwrap());
+    assert!(high / low > 1.05, "{sums:?}");
+}

@@ -60,14 +60,15 @@ impl RegionImager for Empty {
         Ok(vec![Array2::zeros(pixels.sampled_shape())])
     }
 
-    fn image_at(
+    fn images_at(
         &self,
         raster: &TurnedRaster,
         _: RasterDetail,
+        _: DetectorChoice,
         _: usize,
         _: &dyn Progress,
-    ) -> stemgen::Result<Option<Array2<f64>>> {
-        Ok(Some(Array2::zeros(raster.shape)))
+    ) -> stemgen::Result<Option<Vec<Array2<f64>>>> {
+        Ok(Some(vec![Array2::zeros(raster.shape)]))
     }
 
     fn atoms(&self, _: &Region, _: usize) -> DisplacedAtoms {

@@ -194,7 +194,8 @@ fn overviews_show_particles_without_simulations() {
         angle_rad: 0.0,
         shape: [30, 30],
     };
-    let fine = film.image_at(&raster, RasterDetail::Overview, 1, &Silent).unwrap().unwrap();
+    let (detail, main) = (RasterDetail::Overview, DetectorChoice::Main);
+    let fine = film.images_at(&raster, detail, main, 1, &Silent).unwrap().unwrap().remove(0);
     let ours = Array2::from_shape_fn([15, 15], |(i, j)| {
         fine.slice(s![2 * i..2 * i + 2, 2 * j..2 * j + 2]).mean().unwrap()
     });

@@ -124,7 +124,10 @@ fn overviews_are_the_image_but_for_details() {
             angle_rad: 0.0,
             shape: [20 * places as usize; 2],
         };
-        let made = |detail| mosaic.image_at(&raster, detail, 16, &Silent).unwrap().unwrap();
+        let main = DetectorChoice::Main;
+        let made = |detail| {
+            mosaic.images_at(&raster, detail, main, 16, &Silent).unwrap().unwrap().remove(0)
+        };
         let (exact, overview) = (made(RasterDetail::Full), made(RasterDetail::Overview));
         let of_places = rms_percent(overview.view(), exact.view());
         let [overview, exact] = [overview, exact].map(|i| means(i.view(), places as usize));

@@ -77,13 +77,14 @@ impl RegionImager for OtherAtoms<'_> {
     ) -> stemgen::Result<Vec<Array2<f64>>> {
         self.images.images_of(pixels, detectors, configurations, progress)
     }
-    fn image_at(
+    fn images_at(
         &self,
         _: &TurnedRaster,
         _: RasterDetail,
+        _: DetectorChoice,
         _: usize,
         _: &dyn Progress,
-    ) -> stemgen::Result<Option<Array2<f64>>> {
+    ) -> stemgen::Result<Option<Vec<Array2<f64>>>> {
         Ok(None)
     }
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
@@ -182,7 +183,10 @@ fn overviews_simulate_no_column_of_their_own() {
     let raster =
         TurnedRaster { centre_nm: [4.8, 1.0], pixel_nm: 0.04, angle_rad: 0.0, shape: [32, 40] };
     let images = |mosaic: &MosaicImager| {
-        let made = |detail| mosaic.image_at(&raster, detail, 1, &Silent).unwrap().unwrap();
+        let main = DetectorChoice::Main;
+        let made = |detail| {
+            mosaic.images_at(&raster, detail, main, 1, &Silent).unwrap().unwrap().remove(0)
+        };
         (made(RasterDetail::Full), made(RasterDetail::Overview))
     };
     let brightest = |image: &Array2<f64>| image.iter().fold(0.0f64, |m, v| m.max(*v));

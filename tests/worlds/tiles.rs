@@ -224,13 +224,14 @@ impl RegionImager for Noting {
         self.0.lock().unwrap().push(*p);
         Ok(vec![Array2::from_elem(p.shape, 0.1)])
     }
-    fn image_at(
+    fn images_at(
         &self,
         _: &TurnedRaster,
         _: RasterDetail,
+        _: DetectorChoice,
         _: usize,
         _: &dyn Progress,
-    ) -> stemgen::Result<Option<Array2<f64>>> {
+    ) -> stemgen::Result<Option<Vec<Array2<f64>>>> {
         unreachable!("tiles ask for no raster")
     }
     fn atoms(&self, _: &Region, _: usize) -> DisplacedAtoms {

@@ -34,7 +34,7 @@ class Findings:
         phases: int ``[row, column]``, phases of equal parts of the whole field, of any number; :data:`NO_PHASE` for parts without a
             prediction. ``None`` declares one phase.
         particles: ``(N, 3)``: x, y and diameter in nm.
-        morphologies: shapes of the particles: ``"wulff"``, ``"icosahedral"``, ``"decahedral"``.
+        morphologies: shapes of the particles: ``"wulff"``, ``"icosahedral"``, ``"decahedral"``, ``"sphere"``.
         columns: ``(N, 3)``: x, y in nm, and a number that increases with the probability of a defect; for the scores by column.
         forecasts: ``(N, 2 + K)``: x, y in nm of a column, and the probabilities of 0, 1, ... defects in it, of all types together or of the
             target. The last one is the probability of ``K - 1`` or more defects. The strict tasks about defects score them.

@@ -150,20 +150,22 @@ impl RegionImager for FilmImager {
         Ok(vec![pixels.sampled(image.mapv(|v| v.max(0.0)))])
     }
 
-    fn image_at(
+    /// Its one detector is the main one.
+    fn images_at(
         &self,
         raster: &TurnedRaster,
         detail: RasterDetail,
+        _detectors: DetectorChoice,
         _configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Option<Array2<f64>>> {
+    ) -> Result<Option<Vec<Array2<f64>>>> {
         if detail == RasterDetail::Full {
             return Ok(None);
         }
         if progress.interrupted() {
             return Err(Error::Interrupted);
         }
-        film_overview(&self.scene, raster).map(Some)
+        film_overview(&self.scene, raster).map(|image| Some(vec![image]))
     }
 
     fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {

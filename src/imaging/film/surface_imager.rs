@@ -143,15 +143,17 @@ impl RegionImager for SurfaceImager {
     }
 
     /// Overviews show the layers in full detail too.
-    fn image_at(
+    fn images_at(
         &self,
         raster: &TurnedRaster,
         _: RasterDetail,
+        detectors: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Option<Array2<f64>>> {
-        let Some(mut image) =
-            self.inner.image_at(raster, RasterDetail::Full, configurations, progress)?
+    ) -> Result<Option<Vec<Array2<f64>>>> {
+        let full = RasterDetail::Full;
+        let Some(mut images) =
+            self.inner.images_at(raster, full, detectors, configurations, progress)?
         else {
             return Ok(None);
         };
@@ -160,8 +162,10 @@ impl RegionImager for SurfaceImager {
         let values = self.layers_at(&samples, configurations)?;
         let layers = ScannedSamples { values, first, step: self.step };
         let layers = layers.at(&raster.places_angstrom(), &self.kernel);
-        image.iter_mut().zip(layers).for_each(|(v, layer)| *v += layer.max(0.0));
-        Ok(Some(image))
+        // Layers are added on a single detector only.
+        let main = images.iter_mut().take(1).flat_map(|image| image.iter_mut());
+        main.zip(layers).for_each(|(v, layer)| *v += layer.max(0.0));
+        Ok(Some(images))
     }
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {

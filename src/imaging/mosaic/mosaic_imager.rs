@@ -252,13 +252,13 @@ impl MosaicImager {
         places: &[[f64; 2]],
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Vec<f64>> {
+    ) -> Result<Vec<Vec<f64>>> {
         let around = (self.simulator.margin_angstrom(), self.specimen.facts().thickness_nm);
         let band_limit = image_band_limit(&self.simulator.settings().optics);
         between_probes(places, band_limit, around, |pixels| {
             let atoms = |configuration| self.atoms(&pixels.area, configuration);
             let quiet = InterruptOnly(progress);
-            Ok(self.simulator.means(pixels, configurations, atoms, &quiet)?.swap_remove(0))
+            self.simulator.means(pixels, configurations, atoms, &quiet)
         })
     }
 
@@ -269,27 +269,29 @@ impl MosaicImager {
         Assembly::of_places(&*self.specimen, &region, raster.shape, places, how)
     }
 
-    /// Completes an image at the places of a raster with direct simulations of the units that the library lacks.
+    /// Completes images at the places of a raster, of the first detectors, with direct simulations of the units that the library lacks.
     fn with_missing(
         &self,
-        mut image: Array2<f64>,
+        mut images: Vec<Array2<f64>>,
         (assembly, library): (&Assembly, &ImageLibrary),
         raster: &TurnedRaster,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
+    ) -> Result<Vec<Array2<f64>>> {
         let edge = (0.1 * BLOCK_ANGSTROM / raster.pixel_nm).ceil() as usize;
         let missing = assembly.missing(library);
         for (_, members) in blocks(&missing, [0, 0], raster.shape, edge.clamp(1, BLOCK_PX)) {
             let place = |(pixel, _): &(usize, f64)| assembly.places()[*pixel];
             let there: Vec<[f64; 2]> = members.iter().map(place).collect();
-            let values = self.direct_at(&there, configurations, progress)?;
+            let all = self.direct_at(&there, configurations, progress)?;
             let columns = raster.shape[1];
-            for ((pixel, weight), value) in members.iter().zip(values) {
-                image[[pixel / columns, pixel % columns]] += weight * value;
+            for (image, values) in images.iter_mut().zip(all) {
+                for ((pixel, weight), value) in members.iter().zip(values) {
+                    image[[pixel / columns, pixel % columns]] += weight * value;
+                }
             }
         }
-        Ok(image)
+        Ok(images)
     }
 
     /// Displacement (x, y) of a tilted beam at half thickness, in Angstrom.
@@ -307,6 +309,13 @@ impl MosaicImager {
             return Err(Error::invalid(crate::Setting::Library, "empty", expected));
         }
         Ok(())
+    }
+
+    fn count(&self, detectors: DetectorChoice) -> usize {
+        match detectors {
+            DetectorChoice::Main => 1,
+            DetectorChoice::All => self.simulator.detectors(),
+        }
     }
 
     /// The images on the first `detectors` detectors.
@@ -345,7 +354,7 @@ impl MosaicImager {
         raster: &TurnedRaster,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
+    ) -> Result<Vec<Array2<f64>>> {
         self.check_prepared(progress)?;
         let assembly = self.assembly_at(raster, NO_RAMPS);
         let library = self.library_with(assembly.families(), progress)?;
@@ -353,7 +362,7 @@ impl MosaicImager {
         let image = assembly.overview(&library, &self.kernel);
         // If no column can stand in for others, all are missing.
         let made = (&assembly, &*library);
-        self.with_missing(image, made, raster, configurations, progress)
+        self.with_missing(vec![image], made, raster, configurations, progress)
     }
 
     fn rectangle(&self, edge: usize, runs: usize) -> Result<SimulationRuns> {
@@ -414,20 +423,17 @@ impl RegionImager for MosaicImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Vec<Array2<f64>>> {
-        let count = match detectors {
-            DetectorChoice::Main => 1,
-            DetectorChoice::All => self.simulator.detectors(),
-        };
-        self.images(count, pixels, configurations, progress)
+        self.images(self.count(detectors), pixels, configurations, progress)
     }
 
-    fn image_at(
+    fn images_at(
         &self,
         raster: &TurnedRaster,
         detail: RasterDetail,
+        detectors: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Option<Array2<f64>>> {
+    ) -> Result<Option<Vec<Array2<f64>>>> {
         if detail == RasterDetail::Overview {
             return self.overview_at(raster, configurations, progress).map(Some);
         }
@@ -435,9 +441,10 @@ impl RegionImager for MosaicImager {
         let assembly = self.assembly_at(raster, RAMPS);
         let library = self.library_with(assembly.families(), progress)?;
         let seed = self.recipe.seed;
-        let image = assembly.image((&library, 0), &self.kernel, seed, configurations);
+        let image = |n| assembly.image((&library, n), &self.kernel, seed, configurations);
+        let images = (0..self.count(detectors)).map(image).collect();
         let made = (&assembly, &*library);
-        self.with_missing(image, made, raster, configurations, progress).map(Some)
+        self.with_missing(images, made, raster, configurations, progress).map(Some)
     }
 
     /// Displaces the atoms. Atoms of units with a place in the library move as in the simulations of their images; other atoms move by the
