@@ -49,8 +49,8 @@ PATH="$PWD/target/python/build/bin:$PATH"
 sh python/packages.sh >target/packages.log 2>&1 &
 waiting=$!
 trap 'kill "$waiting" 2>/dev/null || :' EXIT
-# Only backtraces need line tables, and they take time to compile.
-export CARGO_PROFILE_RELEASE_DEBUG=false
+# Only backtraces need line tables, and inlining across parts of a crate gains little; both take time to compile.
+export CARGO_PROFILE_RELEASE_DEBUG=false CARGO_PROFILE_RELEASE_LTO=off
 part "compile tests"
 # With the extension for Python, which has no tests of its own: so its crates are compiled once for both.
 features="--release --workspace --features stemgen/static-hdf5"

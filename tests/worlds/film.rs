@@ -6,8 +6,8 @@ use crate::common::specimen;
 use ndarray::{Array2, s};
 use stemgen::engine::Algorithm;
 use stemgen::imaging::{
-    Audit, AuditOptions, FilmImager, PixelBox, PixelRect, RasterDetail, RegionImager, Simulator,
-    TurnedRaster, audit,
+    Audit, AuditOptions, DetectorChoice, FilmImager, PixelBox, PixelRect, RasterDetail,
+    RegionImager, Simulator, TurnedRaster, audit,
 };
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};

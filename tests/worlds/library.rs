@@ -8,7 +8,8 @@ use ndarray::{Array2, ArrayView2, s};
 use stemgen::benchmark::{BenchmarkWorld, RecipeSource, TileView};
 use stemgen::imaging::supplied_images::digest;
 use stemgen::imaging::{
-    Cache, MosaicImager, RasterDetail, RegionImager, SharedLibrary, SuppliedLibrary, TurnedRaster,
+    Cache, DetectorChoice, MosaicImager, RasterDetail, RegionImager, SharedLibrary,
+    SuppliedLibrary, TurnedRaster,
 };
 use stemgen::numerics::NUMERICS_VERSION;
 use stemgen::progress::Silent;
