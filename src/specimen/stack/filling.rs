@@ -2,8 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::Extent;
-use super::interfaces::Interfaces;
+use super::interfaces::{Extent, Interfaces};
 use crate::error::{Error, Result};
 use crate::models::stack::Isometry;
 use crate::models::stack::fault_planes::{part_of, parts};

@@ -1,6 +1,5 @@
 //! Heights of the interfaces of a stack, with their roughness.
 
-use super::Extent;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::stack_table::DEFAULT_CORRELATION_NM;
 use crate::recipe::stacked_crystals::StackedCrystals;
@@ -11,6 +10,9 @@ use crate::structure::lattice::Vec3;
 const NM: f64 = 0.1;
 /// Width in nm by which rough interfaces reach beyond the atoms about the field.
 const MARGIN_NM: f64 = 1.0;
+
+/// The box of a specimen and of the atoms around the field: ranges along x, y and z in Angstrom.
+pub(super) type Extent = [[f64; 2]; 3];
 
 /// The interfaces of a stack; interface n is the one at which layer n begins (from 0), and the last is the end of the stack.
 #[derive(Debug)]

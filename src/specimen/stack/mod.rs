@@ -27,9 +27,6 @@ use crate::structure::lattice::Vec3;
 
 const NM: f64 = 0.1;
 
-/// The box of a specimen and of the atoms around the field: ranges along x, y and z in Angstrom.
-type Extent = [[f64; 2]; 3];
-
 /// Lays out the stack of a recipe.
 ///
 /// # Errors

@@ -1,7 +1,7 @@
 //! Lines of the ground truth of a stack: interfaces and planar faults.
 
-use super::interfaces::Interfaces;
-use super::{Extent, displaced};
+use super::displaced;
+use super::interfaces::{Extent, Interfaces};
 use crate::models::stack::fault_planes::{FaultAction, FaultPlane};
 use crate::recipe::StackTable;
 use crate::recipe::stacked_crystals::StackedCrystals;
