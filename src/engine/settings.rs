@@ -265,7 +265,9 @@ impl Settings {
                     "needs 0 <= inner < outer",
                 ));
             }
-            d.validate()?;
+            if d.sector_degrees.is_some() {
+                d.validate()?;
+            }
             if self.detectors[..i].iter().any(|e| e.name == d.name) {
                 return Err(Error::invalid(crate::Setting::DetectorName, &d.name, "is used twice"));
             }
