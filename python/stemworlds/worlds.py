@@ -103,6 +103,7 @@ class WorldMetadata:
         scaling: scale and offset, fraction of the beam = value * scale + offset.
         phases: names of the phases by their codes.
         detectors: inner and outer angle in mrad of each detector, the main one first; empty for a world with one unnamed detector.
+        sectors: azimuths in degrees, from +x towards +y, between which the detectors lie that are sectors of an annulus.
     """
 
     pixel_nm: float
@@ -127,6 +128,7 @@ class WorldMetadata:
     phases: tuple[str, ...]
     site_count: int
     detectors: Mapping[str, tuple[float, float]]
+    sectors: Mapping[str, tuple[float, float]]
 
 
 class World:
@@ -154,6 +156,8 @@ class World:
         facts = json.loads(reading(self._reader.metadata)())
         for name in ("grid", "shape", "fov_nm", "scaling", "phases"):
             facts[name] = None if facts[name] is None else tuple(facts[name])
+        parts = {one["name"]: one.get("sector_degrees") for one in facts["detectors"]}
+        facts["sectors"] = {name: tuple(azimuths) for name, azimuths in parts.items() if azimuths is not None}
         facts["detectors"] = {one["name"]: (one["inner_mrad"], one["outer_mrad"]) for one in facts["detectors"]}
         self.metadata: WorldMetadata = WorldMetadata(**facts)
 

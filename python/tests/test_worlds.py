@@ -327,11 +327,17 @@ def test_a_cache_is_filled_in_parts_and_verified(tmp_path: Path, monkeypatch: py
 
 
 def test_layers_dislocations_and_particles_of_a_stack(tmp_path: Path) -> None:
-    changes = {"field.thickness_nm": 0.39, "phonons.configurations": 1}
+    haadf = {"name": "HAADF", "inner_mrad": 68.0, "outer_mrad": 200.0}
+    halves = {"name": "HALF", "inner_mrad": 50.0, "outer_mrad": 150.0, "sectors": 2}
+    changes = {"field.thickness_nm": 0.39, "phonons.configurations": 1, "detector": [haadf, halves]}
     recipe = sw.Recipe(ROOT / "examples/stacks/srtio3_dislocation.toml", set=changes)
-    with sw.build(recipe, grid=(1, 1), out=tmp_path / "d.h5", audit=0) as world:
+    with sw.build(recipe, grid=(1, 1), out=tmp_path / "d.h5", audit=0, keep_clean=True) as world:
         assert list(world.layers["phase"]) == ["srtio3"] and world.layers["turn_deg"][0] == 0
         assert len(world.dislocations) == 1
+        assert world.metadata.sectors == {"HALF_0": (0, 180), "HALF_1": (180, 360)}
+        assert list(world.detectors) == ["HAADF", "HALF_0", "HALF_1"]
+        both = sum(world.tile(0, 0, clean=True, detector=f"HALF_{n}").array for n in (0, 1))
+        assert both.mean() > world.tile(0, 0, clean=True).array.mean()
         np.testing.assert_allclose(world.dislocations["burgers_nm"][0], (0.3905, 0, 0), atol=1e-6)
         assert abs(world.dislocations["y_nm"][0] - 2.5) < 0.2
     recipe = sw.Recipe(
