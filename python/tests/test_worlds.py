@@ -343,7 +343,7 @@ def test_layers_dislocations_and_particles_of_a_stack(tmp_path: Path) -> None:
     recipe = sw.Recipe(
         ROOT / "examples/particles/au_on_mgo.toml",
         set={"phonons.configurations": 1, "stack.particles": [
-            {"crystal": "au.cif", "diameter_nm": [1.2, 1.2], "positions_nm": [[1.2, 1.2]], "shape": "sphere"}
+            {"crystal": str(ROOT / "examples/particles/au.cif"), "diameter_nm": [1.2, 1.2], "positions_nm": [[1.2, 1.2]], "shape": "sphere"}
         ], "stack.begin_nm": 1.6, "field.thickness_nm": 2.0},
     )
     with sw.build(recipe, grid=(1, 1), out=tmp_path / "p.h5", audit=0) as world:
