@@ -107,7 +107,8 @@ pub(crate) fn normal3(seed: u64, purpose: Purpose, substream: u32, index: u64) -
     [r1 * libm::cos(a1), r1 * libm::sin(a1), r2 * libm::cos(a2)]
 }
 
-fn open_unit(word: u32) -> f64 {
+/// Converts a random word to a number between 0 and 1, without both.
+pub(crate) fn open_unit(word: u32) -> f64 {
     (f64::from(word) + 0.5) / 4_294_967_296.0
 }
 

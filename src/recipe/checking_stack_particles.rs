@@ -6,10 +6,10 @@ use super::fault::{Checked, crystal_fault, fault, within};
 use super::stack_table::{ParticleShape, ParticleSide, StackDirection, StackParticles, StackTable};
 use super::stacked_crystals::{CheckedParticles, ParticleForm, ParticleOrientation};
 use super::tables::Field;
-use crate::models::particles::facets::{Facet, Polyhedron, plane_normal};
+use crate::models::particles::Metal;
+use crate::models::particles::facets::{Facet, Polyhedron};
 use crate::models::particles::rotation::Rotation;
-use crate::models::particles::{Metal, Morphology};
-use crate::structure::lattice::{Vec3, dot, norm, row_times};
+use crate::structure::lattice::{Vec3, dot, norm, plane_normal, row_times};
 use crate::structure::{Structure, direction};
 
 /// Least and greatest diameter of a particle in nm.
@@ -49,8 +49,7 @@ pub fn check_stack_particles(table: &StackTable, field: &Field) -> Checked<Vec<C
 fn check_room(n: usize, given: &StackParticles, table: &StackTable, field: &Field) -> Checked {
     let key = |name: &str| item_key("particles", n, name);
     let [low, high] = given.diameter_nm;
-    let cluster = matches!(given.shape, ParticleShape::Icosahedral | ParticleShape::Decahedral);
-    let greatest = if cluster { GREATEST_CLUSTER_NM } else { DIAMETERS_NM[1] };
+    let greatest = given.shape.cluster().map_or(DIAMETERS_NM[1], |_| GREATEST_CLUSTER_NM);
     within(&key("diameter_nm"), low, DIAMETERS_NM[0], greatest)?;
     within(&key("diameter_nm"), high, DIAMETERS_NM[0], greatest)?;
     if low > high {
@@ -99,7 +98,7 @@ fn check_room(n: usize, given: &StackParticles, table: &StackTable, field: &Fiel
 /// Refuses values that have no meaning beside others.
 fn check_keys(n: usize, given: &StackParticles) -> Checked {
     let key = |name: &str| item_key("particles", n, name);
-    let cluster = matches!(given.shape, ParticleShape::Icosahedral | ParticleShape::Decahedral);
+    let cluster = given.shape.cluster().is_some();
     let energies = !given.surface_energies.is_empty();
     let shape = given.shape.name();
     let refused = [
@@ -145,11 +144,11 @@ fn check_keys(n: usize, given: &StackParticles) -> Checked {
 }
 
 fn form(n: usize, given: &StackParticles, structure: &Structure) -> Checked<ParticleForm> {
-    let morphology = match given.shape {
-        ParticleShape::Sphere => return Ok(ParticleForm::Sphere),
-        ParticleShape::Wulff => return polyhedron(n, given, structure),
-        ParticleShape::Icosahedral => Morphology::Icosahedral,
-        ParticleShape::Decahedral => Morphology::Decahedral,
+    let Some(morphology) = given.shape.cluster() else {
+        return match given.shape {
+            ParticleShape::Sphere => Ok(ParticleForm::Sphere),
+            _ => polyhedron(n, given, structure),
+        };
     };
     let key = item_key("particles", n, "crystal");
     let (_, metal) = Metal::of(structure, ANY_RATIO).map_err(|e| crystal_fault(&key, e))?;
@@ -200,18 +199,12 @@ fn orientation(
         },
         (None, Some(plane)) => match direction::parse_plane(plane) {
             // The layers lie behind a particle on the side of the gun.
-            Ok(miller) => plane_normal(structure, miller).map(|v| match given.side {
-                ParticleSide::Entrance => v,
-                ParticleSide::Exit => -v,
-            }),
+            Ok(miller) => plane_normal(&structure.cell, miller).map(|v| given.side.inward() * v),
             Err(expected) => return fault(&key("contact_plane"), plane, expected),
         },
         (None, None) => {
-            let any = given.max_tilt_deg.is_none_or(|tilt| tilt >= 90.0);
-            return Ok(match given.max_tilt_deg {
-                Some(tilt) if !any => ParticleOrientation::ZoneAxes(tilt),
-                _ => ParticleOrientation::Any,
-            });
+            let near = given.max_tilt_deg.map(ParticleOrientation::ZoneAxes);
+            return Ok(near.unwrap_or(ParticleOrientation::Any));
         }
     };
     let upright = Rotation::to_z(along);
@@ -249,11 +242,7 @@ fn cut(
     if let (Some(energy), ParticleOrientation::Axis { rotation, .. }) =
         (given.contact_energy, orientation)
     {
-        let towards = match given.side {
-            ParticleSide::Entrance => 1.0,
-            ParticleSide::Exit => -1.0,
-        };
-        let normal = rotation.inverse().apply([0.0, 0.0, towards]);
+        let normal = rotation.inverse().apply([0.0, 0.0, given.side.inward()]);
         // The cut replaces the facet of its own plane.
         unit.facets.retain(|facet| dot(facet.normal, normal) < 1.0 - 1e-6);
         unit = unit.cut(Facet { normal, distance: energy });

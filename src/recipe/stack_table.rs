@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::crystal_source::CrystalSource;
+use crate::models::particles::Morphology;
 
 /// Largest number of layers, and of faults, dislocations and precipitates each.
 pub const MOST_PARTS: usize = 200;
@@ -268,6 +269,15 @@ pub enum ParticleShape {
 }
 
 impl ParticleShape {
+    /// Returns the shape of a cluster that consists of several crystals; `None` for shapes that are cut from one.
+    pub fn cluster(self) -> Option<Morphology> {
+        match self {
+            ParticleShape::Icosahedral => Some(Morphology::Icosahedral),
+            ParticleShape::Decahedral => Some(Morphology::Decahedral),
+            ParticleShape::Wulff | ParticleShape::Sphere => None,
+        }
+    }
+
     /// Returns the name that recipes and files use.
     pub fn name(self) -> &'static str {
         match self {
@@ -288,6 +298,16 @@ pub enum ParticleSide {
     Entrance,
     /// Where the beam leaves.
     Exit,
+}
+
+impl ParticleSide {
+    /// Returns the sign of the direction along z from a particle to its layers.
+    pub fn inward(self) -> f64 {
+        match self {
+            ParticleSide::Entrance => 1.0,
+            ParticleSide::Exit => -1.0,
+        }
+    }
 }
 
 /// Particles of one crystal on the layers of a stack along z.

@@ -10,7 +10,7 @@ use crate::models::stack::edge_dislocation::EdgeDislocation;
 use crate::models::stack::fault_planes::FaultPlane;
 use crate::models::stack::least_distances::LeastDistances;
 use crate::models::stack::random_packing::Packing;
-use crate::structure::lattice::{Mat3, Vec3, inverse, norm, subtract};
+use crate::structure::lattice::{Mat3, Vec3, inverse, norm, plane_normal, subtract};
 use crate::structure::{OrientedBox, Structure};
 
 /// An oriented crystal, strained and in its place.
@@ -57,11 +57,7 @@ impl FittedCrystal {
 
     /// Returns the unit normal of the plane with Miller indices.
     pub(crate) fn normal(&self, miller: [i32; 3]) -> Vec3 {
-        let to_fraction = inverse(&self.cell).unwrap_or([[0.0; 3]; 3]);
-        let normal: Vec3 =
-            std::array::from_fn(|k| (0..3).map(|i| f64::from(miller[i]) * to_fraction[k][i]).sum());
-        let length = norm(normal);
-        normal.map(|n| n / length)
+        plane_normal(&self.cell, miller)
     }
 
     /// Whether a shift by a vector puts every atom within `tolerance` Angstrom of an atom of its element.

@@ -2,14 +2,14 @@
 
 use crate::models::particles::Morphology;
 use crate::models::particles::rotation::Rotation;
-use crate::rng::{Purpose, words};
+use crate::rng::{Purpose, open_unit, words};
 
 /// Number of the random draws for orientations.
 const ORIENTATION: u32 = 1;
 
 /// Draws any orientation.
 pub fn any_orientation(seed: u64, index: u64) -> Rotation {
-    let [a, b, c, _] = words(seed, Purpose::Particle, ORIENTATION, index).map(unit);
+    let [a, b, c, _] = words(seed, Purpose::Particle, ORIENTATION, index).map(open_unit);
     Rotation::uniform([a, b, c])
 }
 
@@ -20,7 +20,7 @@ pub fn near_zone_axis(
     seed: u64,
     index: u64,
 ) -> Rotation {
-    let [a, b, c, tilted] = words(seed, Purpose::Particle, ORIENTATION, index).map(unit);
+    let [a, b, c, tilted] = words(seed, Purpose::Particle, ORIENTATION, index).map(open_unit);
     if max_tilt_deg >= 90.0 {
         return Rotation::uniform([a, b, c]);
     }
@@ -44,14 +44,10 @@ pub fn tilted(
     seed: u64,
     index: u64,
 ) -> Rotation {
-    let [_, b, c, share] = words(seed, Purpose::Particle, ORIENTATION, index).map(unit);
+    let [_, b, c, share] = words(seed, Purpose::Particle, ORIENTATION, index).map(open_unit);
     let about = if turned { Rotation::about([0.0, 0.0, 1.0], turn(b)) } else { Rotation::NONE };
     let tilt = if max_tilt_deg > 0.0 { tilt([c, share], max_tilt_deg) } else { Rotation::NONE };
     tilt.after(about).after(upright)
-}
-
-fn unit(w: u32) -> f64 {
-    (f64::from(w) + 0.5) / 4_294_967_296.0
 }
 
 fn turn(v: f64) -> f64 {

@@ -1,7 +1,7 @@
 //! Random places of circles in the field.
 
 use crate::recipe::region::Region;
-use crate::rng::{Purpose, words};
+use crate::rng::{Purpose, open_unit, words};
 
 /// Number of places tried for a circle.
 const TRIES: u64 = 100_000;
@@ -58,7 +58,7 @@ pub fn scattered(
             let w = words(seed, Purpose::Particle, PLACE, (stream + index as u64) << 32 | attempt);
             let within = |range: [f64; 2], w: u32| {
                 let [low, high] = range.map(|v| v / NM);
-                low + radius + (high - low - 2.0 * radius) * (f64::from(w) + 0.5) / 4_294_967_296.0
+                low + radius + (high - low - 2.0 * radius) * open_unit(w)
             };
             Circle { centre: [within(field.x, w[0]), within(field.y, w[1])], radius }
         };

@@ -47,6 +47,15 @@ pub(crate) fn inverse(m: &Mat3) -> Option<Mat3> {
     Some(std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i] / volume)))
 }
 
+/// Returns the unit normal of the plane with Miller indices in a cell.
+pub fn plane_normal(cell: &Mat3, miller: [i32; 3]) -> Vec3 {
+    let to_fraction = inverse(cell).unwrap_or([[0.0; 3]; 3]);
+    let normal: Vec3 =
+        std::array::from_fn(|k| (0..3).map(|i| f64::from(miller[i]) * to_fraction[k][i]).sum());
+    let length = norm(normal);
+    normal.map(|n| n / length)
+}
+
 /// Returns the distances between opposite faces of the cell.
 pub fn face_distances(m: &Mat3) -> Vec3 {
     let volume = determinant(m).abs();

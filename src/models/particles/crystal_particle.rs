@@ -62,6 +62,12 @@ impl ParticleBody {
     }
 }
 
+/// A body of one size, with the greatest distance of its points from the centre.
+struct SizedBody {
+    body: ParticleBody,
+    reach: f64,
+}
+
 /// An atom of a crystal: its cell and its number in the cell.
 type Label = ([i32; 3], usize);
 
@@ -139,8 +145,11 @@ pub fn volume_per_atom(crystal: &Structure) -> f64 {
 pub fn crystal_particle(crystal: &Structure, body: &ParticleBody, volume: f64) -> Vec<(Vec3, u8)> {
     let bonds = Bonds::new(crystal);
     let wanted = volume / volume_per_atom(crystal);
-    let bodies: Vec<ParticleBody> =
-        sizes(wanted, volume, &bonds).into_iter().map(|size| body.scaled(size)).collect();
+    let reach = body.reach();
+    let bodies: Vec<SizedBody> = sizes(wanted, volume, &bonds)
+        .into_iter()
+        .map(|size| SizedBody { body: body.scaled(size), reach: size * reach })
+        .collect();
     let centres = centres(crystal, wanted);
     let tries: Vec<(usize, usize)> =
         (0..bodies.len()).flat_map(|b| (0..centres.len()).map(move |c| (b, c))).collect();
@@ -190,8 +199,8 @@ fn centres(crystal: &Structure, wanted: f64) -> Vec<Vec3> {
 }
 
 /// Returns the atoms within a body about a centre, cell by cell.
-fn inside(crystal: &Structure, body: &ParticleBody, centre: Vec3) -> Vec<Label> {
-    let reach = body.reach();
+fn inside(crystal: &Structure, sized: &SizedBody, centre: Vec3) -> Vec<Label> {
+    let SizedBody { body, reach } = sized;
     let to_fraction = inverse(&crystal.cell).unwrap_or([[0.0; 3]; 3]);
     let middle = row_times(centre, &to_fraction);
     let thick = face_distances(&crystal.cell);
@@ -217,11 +226,12 @@ fn inside(crystal: &Structure, body: &ParticleBody, centre: Vec3) -> Vec<Label> 
 /// Returns the number of atoms of a particle, and the energy of its broken bonds for its size.
 fn count_and_energy(
     crystal: &Structure,
-    body: &ParticleBody,
+    sized: &SizedBody,
     bonds: &Bonds,
     centre: Vec3,
 ) -> (usize, f64) {
-    let atoms = inside(crystal, body, centre);
+    let atoms = inside(crystal, sized, centre);
+    let body = &sized.body;
     if atoms.is_empty() {
         return (0, f64::INFINITY);
     }

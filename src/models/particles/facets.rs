@@ -2,7 +2,7 @@
 
 use super::point_group::point_group;
 use crate::structure::Structure;
-use crate::structure::lattice::{Vec3, cross, dot, inverse, norm, row_times, subtract};
+use crate::structure::lattice::{Vec3, cross, dot, norm, plane_normal, row_times, subtract};
 
 /// Half the edge of the squares that facets are cut from, in units of the largest distance of a facet: what reaches it is not bounded.
 const FAR: f64 = 1e3;
@@ -25,15 +25,6 @@ pub struct Polyhedron {
     pub facets: Vec<Facet>,
 }
 
-/// Returns the unit normal of the plane with Miller indices, in the axes of the structure.
-pub fn plane_normal(crystal: &Structure, miller: [i32; 3]) -> Vec3 {
-    let to_fraction = inverse(&crystal.cell).unwrap_or([[0.0; 3]; 3]);
-    let normal: Vec3 =
-        std::array::from_fn(|k| (0..3).map(|i| f64::from(miller[i]) * to_fraction[k][i]).sum());
-    let length = norm(normal);
-    normal.map(|n| n / length)
-}
-
 impl Polyhedron {
     /// Makes the polyhedron of a crystal whose families of planes have surface energies. Each family is completed by the point group of
     /// the crystal. Where the group has no inversion, the opposite of a facet has the same energy unless it is listed.
@@ -44,7 +35,7 @@ impl Polyhedron {
         let group = point_group(crystal);
         let mut facets: Vec<Facet> = Vec::new();
         for (n, (miller, energy)) in families.iter().enumerate() {
-            let normal = plane_normal(crystal, *miller);
+            let normal = plane_normal(&crystal.cell, *miller);
             if known(&facets, normal) {
                 return Err(n);
             }

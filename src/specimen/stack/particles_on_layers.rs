@@ -187,17 +187,9 @@ fn places(
     Ok(centres)
 }
 
-/// Returns the sign that takes heights to distances along the way from a particle into the layers.
-fn inward(side: ParticleSide) -> f64 {
-    match side {
-        ParticleSide::Entrance => 1.0,
-        ParticleSide::Exit => -1.0,
-    }
-}
-
 /// Returns the atoms near a face of the layers, with the distance into the layers in place of the height.
 fn face_atoms(layers: &[MadeSite], side: ParticleSide) -> Vec<(Vec3, u8)> {
-    let sign = inward(side);
+    let sign = side.inward();
     let depth = |site: &MadeSite| sign * site.position[2];
     let face = layers.iter().map(depth).fold(f64::INFINITY, f64::min);
     let near = layers.iter().filter(|site| depth(site) < face + FACE_DEPTH);
@@ -212,7 +204,7 @@ fn resting_height(
     given: &StackParticles,
     least: &LeastDistances,
 ) -> f64 {
-    let sign = inward(given.side);
+    let sign = given.side.inward();
     let contact = |a: u8, b: u8| given.contact_angstrom.unwrap_or(least.of(a, b) / LEAST_SHARE);
     let most = given.contact_angstrom.unwrap_or(least.greatest() / LEAST_SHARE);
     let within = |at: &Vec3| (0..2).all(|k| (at[k] - centre[k]).abs() <= made.radius + most);

@@ -19,6 +19,8 @@ pub(super) struct PointDefects<'s> {
     rules: Defects,
     crystals: &'s StackedCrystals,
     interfaces: &'s Interfaces,
+    /// Whether vacancies gather, so that distances count.
+    gathered: bool,
 }
 
 impl<'s> PointDefects<'s> {
@@ -32,7 +34,9 @@ impl<'s> PointDefects<'s> {
         interfaces: &'s Interfaces,
         sites: &[PlacedSite],
     ) -> Result<Self> {
-        let mut found = PointDefects { rules: Defects::default(), crystals, interfaces };
+        let gathered = recipe.vacancies.as_ref().is_some_and(|v| v.cluster_fraction > 0.0);
+        let rules = Defects::default();
+        let mut found = PointDefects { rules, crystals, interfaces, gathered };
         let field = recipe.field.full_region();
         let rules = Defects::fit(recipe, |element, histogram: &mut DistanceHistogram| {
             let own = |(site, _): &&PlacedSite| {
@@ -55,8 +59,12 @@ impl<'s> PointDefects<'s> {
         self.rules.at(self.distance_nm(site)).of(site.key, site.number)
     }
 
-    /// Returns the distance in nm from the nearest interface, planar fault or dislocation, as if each went on for ever.
+    /// Returns the distance in nm from the nearest interface, planar fault or dislocation, as if each went on for ever; infinite where
+    /// vacancies do not gather.
     fn distance_nm(&self, site: &SpecimenSite) -> f64 {
+        if !self.gathered {
+            return f64::INFINITY;
+        }
         let at = site.position_nm.map(|nm| nm / NM);
         let layers = &self.crystals.layers;
         let of_interfaces = (1..layers.len())
