@@ -250,7 +250,7 @@ fn share_of_sector(at: [f64; 2], pixel: [f64; 2], [from, to]: [f64; 2]) -> f64 {
 }
 
 /// For each detector, the pixels of a diffraction pattern that it collects.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct DetectorMap {
     per_detector: Vec<Pixels>,
 }
@@ -280,21 +280,25 @@ pub(crate) struct Pattern {
 }
 
 impl DetectorMap {
-    /// Maps detectors onto a pattern; `angles_mrad(iy, ix)` are the angles (x, y) in mrad of the pixel in row iy, column ix.
+    /// Maps detectors onto a pattern; `angles_mrad(iy, ix)` are the angles (x, y) in mrad of the pixel in row iy, column ix, and
+    /// `share(detector, theta_mrad)` is the share of its electrons that is counted.
     pub(crate) fn new(
         detectors: &[Detector],
         pattern: Pattern,
         angles_mrad: impl Fn(usize, usize) -> [f64; 2],
+        share: impl Fn(&Detector, f64) -> f64,
     ) -> Self {
         let mut per_detector = vec![Pixels::default(); detectors.len()];
         for iy in 0..pattern.shape.0 {
             for ix in 0..pattern.shape.1 {
                 let at = angles_mrad(iy, ix);
-                if at[0].hypot(at[1]) >= pattern.limit_mrad {
+                let theta_mrad = at[0].hypot(at[1]);
+                if theta_mrad >= pattern.limit_mrad {
                     continue;
                 }
                 for (d, pixels) in detectors.iter().zip(&mut per_detector) {
-                    pixels.add(iy * pattern.stride + ix, d.weight(at, &pattern));
+                    let weight = d.weight(at, &pattern) * share(d, theta_mrad);
+                    pixels.add(iy * pattern.stride + ix, weight);
                 }
             }
         }
@@ -365,7 +369,7 @@ mod tests {
             let pixel_mrad = [2.0; 2];
             let pattern =
                 Pattern { shape: (ny, nx), stride, limit_mrad: 1e9, ramp_mrad, pixel_mrad };
-            let map = DetectorMap::new(&detectors, pattern, angles);
+            let map = DetectorMap::new(&detectors, pattern, angles, |_, _| 1.0);
             let psi: Vec<Complex32> =
                 (0..ny * stride).map(|i| Complex32::new((i % 13) as f32, 1.0)).collect();
             let mut sums = [0.0; 4];
@@ -378,7 +382,7 @@ mod tests {
             // Sectors divide each annulus, and have the share of their azimuths of the area.
             for (sectors, first) in [(4, 0.0), (4, 45.0), (3, -20.0), (7, 33.3)] {
                 let divided = detectors[1].divided(sectors, first);
-                let map = DetectorMap::new(&divided, pattern, angles);
+                let map = DetectorMap::new(&divided, pattern, angles, |_, _| 1.0);
                 let mut parts = vec![0.0; sectors];
                 map.collect(&psi, 2.0, &mut parts);
                 assert!((parts.iter().sum::<f64>() - sums[1]).abs() < 1e-6 * sums[1]);

@@ -31,7 +31,7 @@ pub struct Common {
 pub struct Force {
     /// Continue with a warning if the run needs more memory than is free
     #[arg(long)]
-    force: bool,
+    pub force: bool,
 }
 
 /// Chooses where cached simulations are read and stored.

@@ -121,6 +121,10 @@ pub struct Results {
     /// Also write a file for HyperSpy (.hspy), beside the file
     #[arg(long)]
     pub hspy: bool,
+    /// Also write the exit wave of every probe of the scan, beside the file: a NumPy array (complex64) with the axes defocus,
+    /// configuration, scan row, scan column, thickness, y, x
+    #[arg(long, conflicts_with_all = ["plane_wave", "shard"])]
+    pub exit_waves: bool,
     /// Also write a page (HTML) with all images, beside the file. The page needs no network
     #[arg(long)]
     pub html: bool,
@@ -159,7 +163,7 @@ pub struct SimulateRun {
     pub(super) common: Common,
     /// A file with images of an equal request, for comparison.
     pub(super) again_of: Option<StoredImages>,
-    force: Force,
+    pub(super) force: Force,
 }
 
 impl Simulate {
@@ -374,6 +378,7 @@ impl SimulateRun {
                 None => Vec::new(),
             },
             hspy: results.hspy.then(|| self.output.with_extension("hspy")),
+            exit_waves: results.exit_waves.then(|| beside("exit_waves", ".npy")),
             page: results.html.then(|| self.output.with_extension("html")),
         }
     }

@@ -6,7 +6,7 @@ use super::progress_bar::Reporter;
 use super::rerun_command::ImageDifference;
 use super::simulate_command::SimulateRun;
 use super::text;
-use ndarray::{Array3, Axis};
+use ndarray::{Array3, ArrayD, Axis};
 use num_complex::Complex32;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -14,8 +14,8 @@ use std::time::Instant;
 use stemgen::files::atomic_write;
 use stemgen::files::{OutputLock, OutputSet};
 use stemgen::io::{
-    ExitWaves, HspyFacts, ImageCounts, ImageSeries, ImageStack, Origin, write_hspy, write_images,
-    write_tiff,
+    ExitWaves, HspyFacts, ImageCounts, ImageSeries, ImageStack, Origin, write_complex_npy,
+    write_hspy, write_images, write_tiff,
 };
 use stemgen::render::image_pictures::{self, GreyScale};
 use stemgen::simulation::SimulatedImage;
@@ -29,6 +29,8 @@ pub struct SideFiles {
     pub tiffs: Vec<(String, PathBuf)>,
     /// File for HyperSpy.
     pub hspy: Option<PathBuf>,
+    /// Exit waves of the probes.
+    pub exit_waves: Option<PathBuf>,
     /// Page for the browser.
     pub page: Option<PathBuf>,
 }
@@ -38,7 +40,7 @@ impl SideFiles {
     pub fn paths(&self) -> impl Iterator<Item = &PathBuf> {
         let pictures = self.pictures.iter().map(|(_, _, path)| path);
         let tiffs = self.tiffs.iter().map(|(_, path)| path);
-        pictures.chain(tiffs).chain(&self.hspy).chain(&self.page)
+        pictures.chain(tiffs).chain(&self.hspy).chain(&self.exit_waves).chain(&self.page)
     }
 }
 
@@ -63,6 +65,8 @@ struct SimulateSummary {
     tiffs: Vec<PathBuf>,
     #[serde(skip_serializing_if = "Option::is_none")]
     hspy: Option<PathBuf>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    exit_waves: Option<PathBuf>,
     page: Option<PathBuf>,
     images: Vec<ImageSummary>,
     /// The accuracy that was asked for and found; a list for a series.
@@ -119,12 +123,17 @@ impl SimulateRun {
         let waves = waves.as_ref().map(|w| ExitWaves { data: w.view(), step_angstrom });
         let wall_time_s = begun.elapsed().as_secs_f64();
         let origin = self.origin()?;
+        let probe_waves =
+            files.exit_waves.as_ref().map(|_| self.probe_waves(reporter)).transpose()?;
         let mut set = OutputSet::of(&path, &text::command_line(), self.results.overwrite);
         if files.paths().next().is_some() {
             set.begin()?;
         }
         write_images(&path, set.replaces(), &origin, &all, &counted, waves)?;
         let grey_scales = self.write_beside(files, &all, set.replaces())?;
+        if let (Some(path), Some(waves)) = (&files.exit_waves, &probe_waves) {
+            write_complex_npy(path, set.replaces(), waves.view())?;
+        }
         set.finish()?;
         self.parts()?.remove()?;
         let counts = images.iter().filter_map(|image| image.counts.as_ref());
@@ -136,6 +145,7 @@ impl SimulateRun {
             grey_scales,
             tiffs: files.tiffs.iter().map(|p| p.1.clone()).collect(),
             hspy: files.hspy.clone(),
+            exit_waves: files.exit_waves.clone(),
             page: files.page.clone(),
             images: summaries(&stacks, &electrons),
             accuracy: AccuracyReport::value(&self.accuracies)?,
@@ -164,6 +174,19 @@ impl SimulateRun {
         }
         let parts = self.parts()?.read(reporter)?;
         Ok((self.job.run_from(&parts, reporter)?, None))
+    }
+
+    /// Makes the exit waves of all probes of the scan: (defocus, configuration, scan row, scan column, thickness, y, x).
+    fn probe_waves(&self, reporter: &Reporter) -> anyhow::Result<ArrayD<Complex32>> {
+        let scan = self.job.scan();
+        let places: Vec<[f64; 2]> = (0..scan.len()).map(|i| scan.position(i)).collect();
+        let waves = self.job.exit_waves(&places, self.force.force, reporter)?;
+        let views: Vec<_> = waves.iter().map(|w| w.view()).collect();
+        let all = ndarray::stack(Axis(0), &views)?;
+        let [rows, columns] = scan.shape;
+        let (foci, configurations, _, thicknesses, ny, nx) = all.dim();
+        let shape = [foci, configurations, rows, columns, thicknesses, ny, nx];
+        Ok(all.into_shape_with_order(shape.as_slice())?)
     }
 
     fn stack<'a>(
@@ -338,6 +361,7 @@ impl SimulateSummary {
         self.grey_scales.iter().for_each(|p| lines.add("picture", p.text()));
         self.tiffs.iter().for_each(|p| lines.add("TIFF", p.display().to_string()));
         self.hspy.iter().for_each(|p| lines.add("HyperSpy", p.display().to_string()));
+        self.exit_waves.iter().for_each(|p| lines.add("exit waves", p.display().to_string()));
         self.page.iter().for_each(|p| lines.add("page", p.display().to_string()));
         lines.text()
     }

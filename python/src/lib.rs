@@ -72,6 +72,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(recordings::record_field, module)?)?;
     module.add_function(wrap_pyfunction!(replays::import_image, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::diffraction, module)?)?;
+    module.add_function(wrap_pyfunction!(simulate::exit_waves, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::plan_simulation, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::simulate, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::simulate_places, module)?)?;

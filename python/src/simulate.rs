@@ -3,7 +3,7 @@
 use crate::errors::{Fault, Told};
 use crate::long_call::{LongCall, Running, run};
 use crate::request::{AtomArrays, Request};
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array2, Array3, Array5, Axis};
 use num_complex::Complex32;
 use numpy::{IntoPyArray, PyArray2, PyArray3};
 use pyo3::prelude::*;
@@ -183,6 +183,34 @@ pub fn simulate_plane_wave(
     out.set_item("exit_waves", waves)?;
     out.set_item("images", images)?;
     out.set_item("step_angstrom", step_angstrom)?;
+    Ok(out.unbind())
+}
+
+/// Makes the exit waves of probes at places (x, y) in Angstrom. Returns a dict with `data`, a list with an array (configuration, place,
+/// thickness, y, x) for each defocus, `sampling_angstrom` (x, y), and `thicknesses_angstrom`.
+#[pyfunction]
+pub fn exit_waves(
+    py: Python<'_>,
+    request: Request,
+    atoms: Option<AtomArrays>,
+    positions_angstrom: Vec<[f64; 2]>,
+    force: bool,
+    running: Running,
+) -> PyResult<Py<PyDict>> {
+    type Waves = (Vec<Array5<Complex32>>, [f64; 2], Vec<f64>);
+    let work = move |call: &LongCall| -> Result<Waves, Fault> {
+        let job = request.job(atoms.as_ref())?;
+        let waves = job.exit_waves(&positions_angstrom, force, call)?;
+        let [x, y, _] = job.specimen().size_angstrom;
+        let (_, _, _, ny, nx) = waves[0].dim();
+        Ok((waves, [x / nx as f64, y / ny as f64], job.plans()[0].thicknesses_angstrom()))
+    };
+    let (waves, sampling, thicknesses) = run(py, running, work)?;
+    let waves: Vec<_> = waves.into_iter().map(|w| w.into_pyarray(py)).collect();
+    let out = PyDict::new(py);
+    out.set_item("data", waves)?;
+    out.set_item("sampling_angstrom", sampling)?;
+    out.set_item("thicknesses_angstrom", thicknesses)?;
     Ok(out.unbind())
 }
 

@@ -32,7 +32,7 @@ from .errors import (
     StemworldsError,
 )
 from .exporting import export
-from .images import DiffractionPattern, Image, Images, PlaneWave
+from .images import DiffractionPattern, ExitWaves, Image, Images, PlaneWave
 from .importing import import_image
 from .live import LiveView, LiveWorld
 from .patterns import Axes4D, DataCube, simulate_pattern_series, simulate_patterns
@@ -44,6 +44,7 @@ from .simulation import (
     SimulationOptions,
     SimulationPlan,
     diffraction,
+    exit_waves,
     plan_simulation,
     plane_wave,
     simulate,
@@ -70,6 +71,7 @@ __all__ = [
     "DetectabilityOptions",
     "DetectorResult",
     "DiffractionPattern",
+    "ExitWaves",
     "FileError",
     "FormatError",
     "Image",
@@ -105,6 +107,7 @@ __all__ = [
     "detectability",
     "diffraction",
     "errors",
+    "exit_waves",
     "export",
     "import_image",
     "plan",

@@ -140,6 +140,11 @@ class DiffractionPattern(TypedDict):
     step_mrad: list[float]
     band_limit_mrad: float
 
+class ProbeExitWaves(TypedDict):
+    data: list[npt.NDArray[np.complex64]]
+    sampling_angstrom: list[float]
+    thicknesses_angstrom: list[float]
+
 class RecordingRequest(TypedDict, total=False):
     """The options of ``stemgen::world::RecordingRequest``. Missing keys take the library's defaults."""
 
@@ -386,6 +391,13 @@ def diffraction(
     force: bool,
     running: Running,
 ) -> DiffractionPattern: ...
+def exit_waves(
+    request: SimulationRequest,
+    atoms: AtomArrays | None,
+    positions_angstrom: list[tuple[float, float]],
+    force: bool,
+    running: Running,
+) -> ProbeExitWaves: ...
 def plan_simulation(request: SimulationRequest, atoms: AtomArrays | None, running: Running) -> str: ...
 def simulate(
     request: SimulationRequest, atoms: AtomArrays | None, force: bool, running: Running

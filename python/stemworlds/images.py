@@ -305,6 +305,26 @@ class PlaneWave:
 
 
 @dataclass(frozen=True, eq=False)
+class ExitWaves:
+    """The waves of probes behind the specimen, from :func:`exit_waves`.
+
+    Attributes:
+        array: complex64, ``[defocus, configuration, probe, thickness, y, x]``; the squared moduli of a wave add to the fraction of the beam.
+            The square of a Fourier transform with ``norm="ortho"`` is the diffraction pattern.
+        sampling_nm: edge of a pixel along ``(y, x)`` in nm.
+        positions_angstrom: ``(x, y)`` of each probe, of shape (N, 2).
+        thicknesses_angstrom: recorded thicknesses.
+        defocus_angstrom: defocus of each part of the first axis.
+    """
+
+    array: npt.NDArray[np.complex64]
+    sampling_nm: tuple[float, float]
+    positions_angstrom: npt.NDArray[np.float64]
+    thicknesses_angstrom: tuple[float, ...]
+    defocus_angstrom: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class DiffractionPattern:
     """The diffraction pattern of one probe, averaged over phonon configurations.
 

@@ -16,7 +16,7 @@ from . import _core
 from ._running import Progress, call, running
 from .atoms import Atoms, atoms_source
 from .errors import _invalid
-from .images import DiffractionPattern, Image, Images, PlaneWave
+from .images import DiffractionPattern, ExitWaves, Image, Images, PlaneWave
 
 Engine = Literal["multislice", "prism", "window"]
 Sigma = float | Mapping[str, float] | Literal["from-file", "table"]
@@ -288,15 +288,7 @@ def simulate_probes(
     if unused:
         name = sorted(unused)[0]
         raise _invalid(name, f"{name} needs a raster of probes: simulate() has one")
-    try:
-        places = np.asarray(positions, dtype=np.float64)
-    except (TypeError, ValueError):
-        places = np.empty(0)
-    if places.ndim != 2 or places.shape[1] != 2 or len(places) == 0:
-        raise _invalid("positions", f"positions of shape {np.shape(places)}: expected (N, 2), x and y of one probe or more")
-    if not np.isfinite(places).all():
-        raise _invalid("positions", f"positions: {places[~np.isfinite(places).all(axis=1)][0]} are no finite numbers")
-    pairs = [(float(x), float(y)) for x, y in places]
+    pairs = _places(positions)
     request, arrays = _request(atoms, options)
     found = call(_core.simulate_places, request, arrays, pairs, unit, options.get("force", False), _run(options))
     thicknesses = tuple(found["thicknesses_angstrom"])
@@ -379,6 +371,51 @@ def diffraction(
         sampling_mrad=(dy, dx),
         band_limit_mrad=found["band_limit_mrad"],
     )
+
+
+def exit_waves(atoms: Atoms, positions_angstrom: npt.ArrayLike, **options: Unpack[SimulationOptions]) -> ExitWaves:
+    """Simulates the waves of probes behind the specimen by multislice on the full grid.
+
+    Args:
+        atoms: see :func:`simulate`.
+        positions_angstrom: ``(x, y)`` of each probe, of shape (N, 2). The box is periodic.
+        **options: see :class:`SimulationOptions`. The outermost detector angle determines the band limit of the grid. ``scan``,
+            ``source_size_angstrom``, ``dose``, ``accuracy_percent`` and ``focal_spread_angstrom`` are refused.
+
+    Returns:
+        Waves ``[defocus, configuration, probe, thickness, y, x]``.
+
+    Raises:
+        InvalidValue, FormatError, FileError, NotEnoughMemory, KeyboardInterrupt: see :func:`simulate_probes`.
+    """
+    unused = {"scan", "source_size_angstrom", "dose", "accuracy_percent"} & options.keys()
+    if unused:
+        name = sorted(unused)[0]
+        raise _invalid(name, f"{name} is for scanned images; waves of single probes have no such thing")
+    pairs = _places(positions_angstrom)
+    request, arrays = _request(atoms, options)
+    found = call(_core.exit_waves, request, arrays, pairs, options.get("force", False), _run(options))
+    dx, dy = found["sampling_angstrom"]
+    return ExitWaves(
+        array=np.stack(found["data"]),
+        sampling_nm=(dy / 10, dx / 10),
+        positions_angstrom=np.array(pairs),
+        thicknesses_angstrom=tuple(found["thicknesses_angstrom"]),
+        defocus_angstrom=tuple(_defoci(options.get("defocus_angstrom", 0.0))),
+    )
+
+
+def _places(positions: npt.ArrayLike) -> list[tuple[float, float]]:
+    """Returns places of probes, or raises for what are no pairs of finite numbers."""
+    try:
+        places = np.asarray(positions, dtype=np.float64)
+    except (TypeError, ValueError):
+        places = np.empty(0)
+    if places.ndim != 2 or places.shape[1] != 2 or len(places) == 0:
+        raise _invalid("positions", f"positions of shape {np.shape(places)}: expected (N, 2), x and y of one probe or more")
+    if not np.isfinite(places).all():
+        raise _invalid("positions", f"positions: {places[~np.isfinite(places).all(axis=1)][0]} are no finite numbers")
+    return [(float(x), float(y)) for x, y in places]
 
 
 def _run(options: SimulationOptions) -> Any:

@@ -161,6 +161,55 @@ def test_diffraction_adds_up_to_the_detectors(silicon: Any) -> None:
     assert np.hypot(row - pattern.centre[0], column - pattern.centre[1]) * pattern.sampling_mrad[0] < 22
 
 
+def test_exit_waves_are_waves_of_the_patterns(silicon: Any) -> None:
+    options: Any = {"detectors": {"all": (0, 100)}, "phonons": 2, "sigma": 0.08, "engine": "multislice"}
+    places = [(2.0, 3.0), (0.5, 0.0)]
+    waves = sw.exit_waves(silicon, places, defocus_angstrom=(0.0, 60.0), **options)
+    assert waves.array.dtype == np.complex64 and waves.array.shape[:4] == (2, 2, 2, 1)
+    assert waves.defocus_angstrom == (0.0, 60.0) and waves.positions_angstrom.tolist() == [[2.0, 3.0], [0.5, 0.0]]
+    intensity = np.abs(np.fft.fft2(waves.array, norm="ortho")) ** 2
+    assert np.abs(intensity.sum(axis=(-1, -2)) - 1).max() < 0.005
+    for place, expected in zip(range(2), places, strict=True):
+        pattern = sw.diffraction(silicon, expected, **options).array
+        ours = np.fft.fftshift(intensity[0, :, place, 0].mean(axis=0))
+        assert np.abs(ours - pattern).max() < 1e-5 * pattern.max()
+    # The intensity of the wave lies at the probe, in the same box.
+    height, width = waves.array.shape[-2:]
+    y, x = np.unravel_index((np.abs(waves.array[0, :, 0, 0]) ** 2).mean(axis=0).argmax(), (height, width))
+    assert np.hypot(x * 10 * waves.sampling_nm[1] - 2.0, y * 10 * waves.sampling_nm[0] - 3.0) < 1.5
+
+
+def test_waves_without_atoms_are_probes() -> None:
+    nothing = sw.AtomArrays(np.array([6], np.int32), np.array([[15.0, 15.0, 2.0]]), np.diag([20.0, 20.0, 4.0]))
+    options: Any = {"engine": "multislice", "detectors": {"all": (0, 60)}}
+    thick = sw.exit_waves(nothing, [(4.0, 5.0)], thicknesses_angstrom=(2.0, 4.0), **options)
+    # A probe moves with its place, and free space of 4 A is a defocus of -4 A at the exit.
+    moved = sw.exit_waves(nothing, [(4.0 + 200 * thick.sampling_nm[1], 5.0)], **options)
+    turned = np.roll(thick.array[..., -1, :, :], 20, axis=-1)
+    most = np.abs(turned).max()
+    assert np.abs(moved.array[..., -1, :, :] - turned).max() < 0.05 * most
+    refocused = sw.exit_waves(nothing, [(4.0, 5.0)], defocus_angstrom=thick.thicknesses_angstrom[-1], **options)
+    spot = np.abs(refocused.array[0, 0, 0, 0])
+    y, x = np.unravel_index(spot.argmax(), spot.shape)
+    assert spot[y, x] > np.abs(thick.array[0, 0, 0, -1]).max()
+    # In focus at the exit, the phase at the middle is flat.
+    near = refocused.array[0, 0, 0, 0, y - 2 : y + 3, x - 2 : x + 3]
+    assert np.ptp(np.angle(near / near[2, 2])) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({"engine": "window"}, "full grid"),
+        ({"focal_spread_angstrom": 20.0}, "one focus"),
+        ({"dose": 1e3}, "single probes"),
+    ],
+)
+def test_impossible_exit_waves_are_refused(silicon: Any, more: Any, says: str) -> None:
+    with pytest.raises(sw.InvalidValue, match=says):
+        sw.exit_waves(silicon, [(1.0, 1.0)], **more)
+
+
 def test_plane_waves(silicon: Any) -> None:
     wave = sw.plane_wave(silicon, phonons=2, sigma=0.08, semiangle_mrad=12, defocus_angstrom=[0, 200])
     assert wave.exit_waves.shape[0] == 2 and wave.exit_waves.dtype == np.complex64

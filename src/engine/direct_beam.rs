@@ -1,9 +1,8 @@
 //! Corrects the share of the beam that low-angle detectors miss because probes are cropped.
 //!
-//! Windows and large boxes crop the tail of a probe. The electrons of the tail that pass the specimen unscattered belong on detectors
-//! within the aperture, so their images lack a few per cent, nearly the same everywhere. Example: 10.5-21 mrad of SrTiO3 (39 A, windows of
-//! 15.6 A) lacks 3.3 %. Its error is 0.6 % after scaling with the factor that makes vacuum right (docs/accuracy.md has more). Patterns add
-//! the tail's wave instead (`engine::patterns`).
+//! Large boxes are cropped to the cell, and with them the tail of a probe. The electrons of the tail that pass the specimen unscattered
+//! belong on detectors within the aperture, so their images lack a few per cent, nearly the same everywhere. A factor makes vacuum right. In
+//! windows the tail's wave is added instead (`engine::coherent_tail`).
 
 use super::plan::Plan;
 use super::probe::Probe;
@@ -19,7 +18,8 @@ const LEAST_SHARE: f64 = 0.05;
 pub(super) fn direct_beam_factors(plan: &Plan) -> Vec<f64> {
     let settings = &plan.settings;
     let shares: Vec<f64> = settings.detectors.iter().map(|d| direct_share(settings, d)).collect();
-    let cropped = settings.large_probe_box() && settings.tail_correction;
+    // In windows the tail's wave is added instead (`bright_detectors`).
+    let cropped = settings.large_probe_box() && settings.tail_correction && !plan.has_windows();
     if !(cropped && settings.direct_beam) || shares.iter().all(|share| *share < LEAST_SHARE) {
         return vec![1.0; shares.len()];
     }
@@ -32,7 +32,7 @@ pub(super) fn direct_beam_factors(plan: &Plan) -> Vec<f64> {
 }
 
 /// The share of the beam on a detector without a specimen.
-pub fn direct_share(settings: &Settings, detector: &Detector) -> f64 {
+fn direct_share(settings: &Settings, detector: &Detector) -> f64 {
     let semiangle = settings.optics.semiangle_mrad;
     let part = |([inner, outer], share): ([f64; 2], f64)| {
         let outer = outer.min(semiangle);

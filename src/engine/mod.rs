@@ -11,6 +11,8 @@
 
 mod accuracy;
 mod basis;
+mod bright_detectors;
+mod coherent_tail;
 mod cost;
 mod detector_images;
 mod direct_beam;
@@ -19,6 +21,7 @@ mod grid;
 mod grid_choice;
 mod lens;
 mod multislice;
+mod padded_box;
 pub(crate) mod patterns;
 mod phase_grating;
 pub(crate) mod phonons;
@@ -47,10 +50,10 @@ mod workspace_pool;
 pub(crate) use crate::structure::Site;
 pub use accuracy::{AccuracyFound, TriedWindow, WindowChoice, settings_for_accuracy, window_for};
 pub(crate) use accuracy::{ExactEngine, mean_heights};
+pub(crate) use bright_detectors::sees_tail;
 pub use cost::Cost;
 pub(crate) use cost::PlannedScan;
 pub use detector_images::Images;
-pub(crate) use direct_beam::direct_share;
 pub use free_memory::check_memory;
 pub use grid::Grid;
 pub(crate) use lens::lens_image;
@@ -69,7 +72,7 @@ pub use settings::{
 };
 pub(crate) use simulate::elements;
 pub use simulate::{Simulation, exit_wave, simulate};
-pub(crate) use simulate::{diffraction, mean_diffraction};
+pub(crate) use simulate::{diffraction, mean_diffraction, probe_exit_waves};
 pub use single_scattering::{ScatteringMap, SingleScattering};
 pub use source_size::Source;
 pub(crate) use source_size::SourceBlur;

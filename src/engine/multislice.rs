@@ -3,6 +3,8 @@
 mod lent_waves;
 
 use super::basis::Basis;
+use super::bright_detectors::{BrightDetectors, BrightWorkspace, TailThere, window_map};
+use super::coherent_tail::{SharedWaves, mean_transmissions};
 use super::plan::Plan;
 use super::probe::{CroppedProbe, Probe};
 use super::probe_patches::{Patch, ProbePatches, amplitude_nyquist};
@@ -16,6 +18,7 @@ use crate::error::{Error, Result};
 use crate::fft::{Buffer, frequency};
 use crate::matrix::{gram, multiply};
 use crate::progress::Progress;
+use ndarray::Array4;
 use num_complex::Complex32;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -28,12 +31,39 @@ pub(super) struct Multislice<'a> {
     plan: &'a Plan,
     stepper: Stepper,
     map: DetectorMap,
+    /// The detectors that read the coherent tail; `None` without windows, and where waves are only lent.
+    bright: Option<BrightDetectors<'a>>,
     /// The probe at each focus, with its weight. Without focal spread there is one.
     probes: Vec<(f64, Probe)>,
     /// Columns that contain the spectrum of the probe.
     probe_columns: Vec<Range<usize>>,
-    /// The last basis, with the largest distance (x, y) in Angstrom of its probes from the middle of their window.
-    basis: Option<([f64; 2], Arc<Basis>)>,
+    /// The last waves of patches, with the largest distance (x, y) in Angstrom of their probes from the middle of their window.
+    waves: Option<([f64; 2], Arc<PatchWaves>)>,
+}
+
+/// Waves in which the probes of a patch are expanded.
+enum PatchWaves {
+    /// Waves in the window.
+    Window(Basis),
+    /// Waves in the box around the window, for detectors that read the coherent tail.
+    Box(SharedWaves),
+}
+
+impl PatchWaves {
+    fn len(&self) -> usize {
+        match self {
+            PatchWaves::Window(basis) => basis.len(),
+            PatchWaves::Box(shared) => shared.len(),
+        }
+    }
+
+    /// Coefficients of wave `j` on the window's bins.
+    fn inside(&self, j: usize) -> &[Complex32] {
+        match self {
+            PatchWaves::Window(basis) => basis.wave(j),
+            PatchWaves::Box(shared) => &shared.inside[j],
+        }
+    }
 }
 
 /// One thread's arrays.
@@ -45,6 +75,7 @@ pub(super) struct MultisliceWorkspace {
     amplitudes: Vec<Vec<Complex32>>,
     /// Transmission functions of the next steps.
     transmissions: Vec<Buffer>,
+    bright: Option<BrightWorkspace>,
 }
 
 /// Number of steps that all waves of a patch pass before the next ones. The steps' transmission functions are then arranged once for all
@@ -64,10 +95,19 @@ pub(super) struct PathPart {
 type SlicePath = Vec<PathPart>;
 
 impl<'a> Multislice<'a> {
+    /// Waves and detectors of a plan.
     pub fn new(plan: &'a Plan) -> Self {
+        let mut this = Self::lending(plan);
+        let stride = this.stepper.fft().stride();
+        this.map = window_map(plan, stride);
+        this.bright = BrightDetectors::new(plan, &this.probes[0].1.bins, stride);
+        this
+    }
+
+    /// The waves of a plan alone, for those who read them.
+    pub fn lending(plan: &'a Plan) -> Self {
         let stepper = Stepper::new(plan);
         let grid = plan.wave_grid;
-        let map = plan.detector_map(&grid, stepper.fft().stride(), plan.detector_ramp_mrad());
         let probes: Vec<(f64, Probe)> =
             plan.at_foci().iter().map(|(weight, at)| (*weight, Probe::new(at))).collect();
         let nx = grid.points[0];
@@ -75,7 +115,8 @@ impl<'a> Multislice<'a> {
         // Aberrations do not change the probe's bins.
         let reach = probes[0].1.bins.iter().map(column).max().unwrap_or(0);
         let probe_columns = stepper.fft().band_columns(reach);
-        Multislice { plan, stepper, map, probes, probe_columns, basis: None }
+        let (map, bright, waves) = (DetectorMap::default(), None, None);
+        Multislice { plan, stepper, map, bright, probes, probe_columns, waves }
     }
 
     /// Intensities as fractions of the beam: (probe, recorded thickness, detector), row-major.
@@ -103,25 +144,25 @@ impl<'a> Multislice<'a> {
         wanted: &[bool],
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
-        let (mut groups, basis) = self.groups(places);
-        if basis.is_none() {
+        let (mut groups, waves) = self.groups(places);
+        if waves.is_none() {
             // Waves of a group do not depend on each other, so unwanted ones are left out.
             groups.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted[*i]));
         }
         groups.retain(|g| g.probes.iter().any(|(i, _)| wanted[*i]));
-        self.run_groups(transmission, places.len(), (groups, basis), progress)
+        self.run_groups(transmission, places.len(), (groups, waves), progress)
     }
 
     fn run_groups(
         &mut self,
         transmission: &Transmission,
         probes: usize,
-        (groups, basis): (Vec<Patch>, Option<Arc<Basis>>),
+        (groups, waves): (Vec<Patch>, Option<Arc<PatchWaves>>),
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
         let (paths, path_of) = self.paths(transmission, &groups);
         let this = &*self;
-        let basis = basis.as_deref();
+        let waves = waves.as_deref();
         let workspaces = WorkspacePool::new();
         let values = groups.par_iter().zip(path_of).map(|(group, path)| {
             if progress.interrupted() {
@@ -130,8 +171,8 @@ impl<'a> Multislice<'a> {
             let view = TransmissionView { transmission, origin: group.origin };
             let values = workspaces.with(
                 || this.workspace(),
-                |w| match basis {
-                    Some(basis) => this.expanded(w, &paths[path], view, group, basis),
+                |w| match waves {
+                    Some(waves) => this.expanded(w, &paths[path], view, group, waves),
                     None => this.each_probe(w, &paths[path], view, group),
                 },
             );
@@ -156,32 +197,65 @@ impl<'a> Multislice<'a> {
             step: self.stepper.workspace(),
             amplitudes: vec![Vec::new(); self.plan.settings.detectors.len()],
             transmissions: Vec::new(),
+            bright: self.bright.as_ref().map(BrightDetectors::workspace),
         }
     }
 
-    /// The patches of probes. If probes are expanded, patches are whole, with the basis of their probes. Otherwise they are divided into
+    /// The patches of probes. If probes are expanded, patches are whole, with the waves of their probes. Otherwise they are divided into
     /// parts whose waves step together.
-    fn groups(&mut self, places: ProbePlaces<'_>) -> (Vec<Patch>, Option<Arc<Basis>>) {
+    fn groups(&mut self, places: ProbePlaces<'_>) -> (Vec<Patch>, Option<Arc<PatchWaves>>) {
         let patches = ProbePatches::new(self.plan, places);
-        if let Some(basis) = self.basis(&patches) {
-            return (patches.patches, Some(basis));
+        if let Some(waves) = self.patch_waves(&patches) {
+            return (patches.patches, Some(waves));
         }
         let most = self.stepper.waves_together();
         (patches.patches.into_iter().flat_map(|patch| patch.split(most)).collect(), None)
     }
 
-    /// The basis for the probes of these patches, if they are expanded. Scans of equal shape share it.
-    fn basis(&mut self, patches: &ProbePatches) -> Option<Arc<Basis>> {
+    /// The waves for the probes of these patches, if they are expanded. Scans of equal shape share them.
+    fn patch_waves(&mut self, patches: &ProbePatches) -> Option<Arc<PatchWaves>> {
         let error = patches.error?;
         let probes: Vec<&CroppedProbe> =
             self.probes.iter().map(|(_, probe)| probe.cropped()).collect::<Option<_>>()?;
         let half = patches.half(self.plan);
-        if let Some((_, basis)) = self.basis.as_ref().filter(|known| known.0 == half) {
-            return Some(basis.clone());
+        if let Some((_, waves)) = self.waves.as_ref().filter(|known| known.0 == half) {
+            return Some(waves.clone());
         }
-        let basis = Arc::new(Basis::new(&probes, half, amplitude_nyquist(self.plan), error));
-        self.basis = Some((half, basis.clone()));
-        Some(basis)
+        let waves = Arc::new(match &self.bright {
+            Some(bright) => PatchWaves::Box(bright.tail.shared(bright.padded(), half, error)),
+            None => {
+                let nyquist = amplitude_nyquist(self.plan);
+                PatchWaves::Window(Basis::new(&probes, half, nyquist, error))
+            }
+        });
+        self.waves = Some((half, waves.clone()));
+        Some(waves)
+    }
+
+    /// The coefficients of probes on the waves of their patch, (wave, probe) row-major, for each focus with its weight.
+    fn coefficients(
+        &self,
+        waves: &PatchWaves,
+        probes: &[(usize, [f64; 2])],
+    ) -> Vec<(f64, Vec<Complex32>)> {
+        match (waves, &self.bright) {
+            (PatchWaves::Box(shared), Some(bright)) => bright.tail.coefficients(shared, probes),
+            (PatchWaves::Window(basis), _) => {
+                let at_foci = self
+                    .probes
+                    .iter()
+                    .filter_map(|(weight, probe)| Some((*weight, probe.cropped()?)));
+                at_foci.map(|(weight, probe)| (weight, basis.coefficients(probe, probes))).collect()
+            }
+            (PatchWaves::Box(_), None) => Vec::new(),
+        }
+    }
+
+    /// The tail at each recorded thickness on the path of a group, for detectors that read it.
+    fn tails_there(&self, path: &[PathPart], view: TransmissionView<'_>) -> Vec<TailThere> {
+        let Some(bright) = &self.bright else { return Vec::new() };
+        let means = mean_transmissions(self.plan, view);
+        path.iter().zip(means).map(|(part, mean)| bright.tail_at(part, mean)).collect()
     }
 
     /// Intensities of a group's probes, each propagated as a wave: (probe, recorded thickness, detector).
@@ -196,48 +270,77 @@ impl<'a> Multislice<'a> {
         let per_probe = detectors * path.len();
         let mut values = vec![0.0; group.probes.len() * per_probe];
         let mut one = vec![0.0; detectors];
+        let there = self.tails_there(path, view);
         for focus in 0..self.probes.len() {
-            self.propagate(w, path, view, (&group.probes, focus), |probe, r, psi, scale| {
+            let (inside, outside) = self.starts(w, (&group.probes, focus));
+            let mut bright_w = w.bright.take();
+            self.propagate(w, path, view, (&inside, focus), |probe, r, psi, scale| {
                 let at = probe * per_probe + r * detectors;
+                let values = &mut values[at..at + detectors];
                 self.map.collect(psi, scale, &mut one);
-                values[at..at + detectors].iter_mut().zip(&one).for_each(|(v, o)| *v += o);
+                values.iter_mut().zip(&one).for_each(|(v, o)| *v += o);
+                if let (Some(bright), Some(w)) = (&self.bright, &mut bright_w) {
+                    let weight = self.probes[focus].0;
+                    let tail = (outside[probe].as_slice(), &there[r]);
+                    bright.add(psi, tail, (w, &mut one), (weight, values));
+                }
             });
+            w.bright = bright_w;
         }
         values
     }
 
-    /// Intensities of a group's probes from the waves of a basis; only these waves are propagated.
+    /// The coefficients of probes on the window's bins, and, for detectors that read the tail, the tail of each.
+    fn starts(
+        &self,
+        w: &mut MultisliceWorkspace,
+        (probes, focus): (&[(usize, [f64; 2])], usize),
+    ) -> (Vec<Vec<Complex32>>, Vec<Vec<Complex32>>) {
+        let places = probes.iter().map(|(_, position)| (*position, focus));
+        match (&self.bright, &mut w.bright) {
+            (Some(bright), Some(w)) => {
+                places.map(|at| bright.tail.probe(bright.padded(), at, &mut w.split)).unzip()
+            }
+            _ => (places.map(|(at, _)| self.probes[focus].1.at(self.plan, at)).collect(), vec![]),
+        }
+    }
+
+    /// Intensities of a group's probes from the waves of its patch; only these waves are propagated.
     fn expanded(
         &self,
-        MultisliceWorkspace { waves, copy, step, amplitudes, transmissions }: &mut MultisliceWorkspace,
+        w: &mut MultisliceWorkspace,
         path: &[PathPart],
         view: TransmissionView<'_>,
         group: &Patch,
-        basis: &Basis,
+        patch_waves: &PatchWaves,
     ) -> Vec<f64> {
+        let MultisliceWorkspace { waves, copy, step, amplitudes, transmissions, bright: w } = w;
         let (probes, detectors) = (group.probes.len(), self.plan.settings.detectors.len());
         let per_probe = detectors * path.len();
-        let at_foci =
-            self.probes.iter().filter_map(|(weight, probe)| Some((weight, probe.cropped()?)));
-        let coefficients: Vec<(f64, Vec<Complex32>)> = at_foci
-            .map(|(weight, probe)| (*weight, basis.coefficients(probe, &group.probes)))
-            .collect();
-        let waves = self.at_least(waves, basis.len());
+        let coefficients = self.coefficients(patch_waves, &group.probes);
+        let waves = self.at_least(waves, patch_waves.len());
         for (j, wave) in waves.iter_mut().enumerate() {
-            self.begin(wave, basis.wave(j).iter().copied(), step);
+            self.begin(wave, patch_waves.inside(j).iter().copied(), step);
         }
+        let there = self.tails_there(path, view);
         let mut values = vec![0.0; probes * per_probe];
         let scale = self.scale();
         for (r, part) in path.iter().enumerate() {
             amplitudes.iter_mut().for_each(Vec::clear);
             self.step_waves(waves, &part.steps, view, (transmissions, step));
-            for wave in &*waves {
+            for (j, wave) in waves.iter().enumerate() {
                 copy.copy_from_slice(wave);
                 self.stepper.transform_columns(copy, false, &mut step.fft);
                 self.map.gather(copy, |d, psi| amplitudes[d].extend_from_slice(psi));
+                if let (Some(bright), Some(w), PatchWaves::Box(shared)) =
+                    (&self.bright, &mut *w, patch_waves)
+                {
+                    let tail = (shared.outside[j].as_slice(), &there[r]);
+                    bright.gather(copy, tail, w, |d, psi| amplitudes[d].extend_from_slice(psi));
+                }
             }
             for (d, amplitudes) in amplitudes.iter().enumerate() {
-                let matrix = detected(amplitudes, basis.len());
+                let matrix = detected(amplitudes, patch_waves.len());
                 for (weight, coefficients) in &coefficients {
                     let sums = intensities(&matrix, coefficients, probes, weight * scale);
                     for (probe, intensity) in sums.into_iter().enumerate() {
@@ -279,16 +382,6 @@ impl<'a> Multislice<'a> {
     fn scale(&self) -> f64 {
         let (ny, nx) = self.stepper.fft().shape();
         1.0 / ((nx * ny) as f64).powi(2)
-    }
-
-    /// Sets a wave to the probe of a focus at `position` (Angstrom, from the first pixel of the wave).
-    fn start(
-        &self,
-        wave: &mut [Complex32],
-        (position, focus): ([f64; 2], usize),
-        w: &mut StepWorkspace,
-    ) {
-        self.begin(wave, self.probes[focus].1.at(self.plan, position).into_iter(), w);
     }
 
     /// Sets a wave to these coefficients, in the order of the probe's bins, in the form that steps need.
@@ -344,19 +437,19 @@ impl<'a> Multislice<'a> {
         path
     }
 
-    /// Propagates probes of a focus along a path; `record(probe, r, psi, scale)` receives the Fourier coefficients at the r-th
+    /// Propagates probes of a focus, given by their coefficients, along a path; `record(probe, r, psi, scale)` receives the Fourier coefficients at the r-th
     /// recorded thickness, whose squared moduli times `scale` are fractions of the beam, weighted by the focus.
     fn propagate(
         &self,
         MultisliceWorkspace { waves, copy, step, .. }: &mut MultisliceWorkspace,
         path: &[PathPart],
         view: TransmissionView<'_>,
-        (probes, focus): (&[(usize, [f64; 2])], usize),
+        (probes, focus): (&[Vec<Complex32>], usize),
         mut record: impl FnMut(usize, usize, &[Complex32], f64),
     ) {
         let waves = self.at_least(waves, probes.len());
-        for (wave, (_, position)) in waves.iter_mut().zip(probes) {
-            self.start(wave, (*position, focus), step);
+        for (wave, coefficients) in waves.iter_mut().zip(probes) {
+            self.begin(wave, coefficients.iter().copied(), step);
         }
         for (r, part) in path.iter().enumerate() {
             for slice_step in &part.steps {
@@ -388,7 +481,8 @@ impl<'a> Multislice<'a> {
         let mut w = self.workspace();
         let view = TransmissionView { transmission, origin: group.origin };
         for focus in 0..self.probes.len() {
-            self.propagate(&mut w, &path, view, (&group.probes, focus), |_, r, psi, scale| {
+            let inside = vec![self.probe(focus, group.probes[0].1)];
+            self.propagate(&mut w, &path, view, (&inside, focus), |_, r, psi, scale| {
                 for iy in 0..ny {
                     for ix in 0..nx {
                         let [kx, ky] = grid.k(iy, ix);
@@ -401,6 +495,60 @@ impl<'a> Multislice<'a> {
             });
         }
         out
+    }
+}
+
+impl Multislice<'_> {
+    /// The waves of probes at these places (x, y) in Angstrom at each recorded thickness, (place, thickness, y, x), on the grid of a plan
+    /// without windows. The squared moduli of a wave add to the fraction of the beam.
+    pub fn exit_waves(
+        &mut self,
+        transmission: &Transmission,
+        places: &[[f64; 2]],
+        progress: &dyn Progress,
+    ) -> Result<Array4<Complex32>> {
+        let plan = self.plan;
+        let (ny, nx) = self.stepper.fft().shape();
+        let slices = transmission.coverage.within((0, 0));
+        let path = self.path(&slices);
+        let ends = plan.record_after.iter().map(|last| plan.slices.boundaries[last + 1]);
+        let to_end: Vec<_> = ends
+            .zip(&path)
+            .map(|(end, part)| {
+                self.stepper.propagator(end - part.height_angstrom, part.moved.map(|p| -p))
+            })
+            .collect();
+        let view = TransmissionView { transmission, origin: (0, 0) };
+        let this = &*self;
+        let scale = ((nx * ny) as f32).sqrt().recip();
+        let workspaces = WorkspacePool::new();
+        let of_place = |place: &[f64; 2]| {
+            if progress.interrupted() {
+                return Err(Error::Interrupted);
+            }
+            let made = workspaces.with(
+                || this.workspace(),
+                |MultisliceWorkspace { waves, step, .. }| {
+                    let waves = this.at_least(waves, 1);
+                    this.begin(&mut waves[0], this.probe(0, *place).into_iter(), step);
+                    let mut made = Vec::with_capacity(path.len() * nx * ny);
+                    for (part, to_end) in path.iter().zip(&to_end) {
+                        for slice_step in &part.steps {
+                            this.stepper.propagate(waves, *slice_step, view, step);
+                        }
+                        let wave = this.stepper.leaving(&waves[0], to_end, &mut step.fft);
+                        let rows = wave.chunks_exact(this.stride()).take(ny);
+                        made.extend(rows.flat_map(|row| row[..nx].iter().map(|v| v * scale)));
+                    }
+                    made
+                },
+            );
+            progress.advance(1);
+            Ok(made)
+        };
+        let waves = places.par_iter().map(of_place).collect::<Result<Vec<_>>>()?;
+        let shape = (places.len(), path.len(), ny, nx);
+        Ok(Array4::from_shape_vec(shape, waves.concat()).unwrap_or_default())
     }
 }
 

@@ -7,7 +7,7 @@ use super::grid_choice::{
 };
 use super::probe_width;
 use super::settings::{Algorithm, GridChoice, Settings};
-use crate::detect::{DetectorMap, Pattern};
+use crate::detect::{Detector, DetectorMap, Pattern};
 use crate::error::{Error, Result};
 use crate::fft::{BandLimit, good_size};
 use crate::optics::{Focus, foci};
@@ -191,13 +191,35 @@ impl Plan {
 
     /// The detectors on a diffraction pattern of `grid`, `stride` elements from row to row.
     pub(super) fn detector_map(&self, grid: &Grid, stride: usize, ramp_mrad: f64) -> DetectorMap {
+        self.shared_detector_map(grid, stride, ramp_mrad, |_, _| 1.0)
+    }
+
+    /// The map of [`Plan::detector_map`], where `share(detector, theta_mrad)` of the electrons at an angle are counted.
+    pub(super) fn shared_detector_map(
+        &self,
+        grid: &Grid,
+        stride: usize,
+        ramp_mrad: f64,
+        share: impl Fn(&Detector, f64) -> f64,
+    ) -> DetectorMap {
+        self.detector_map_of(grid, stride, ramp_mrad, share, |iy, ix| grid.k(iy, ix))
+    }
+
+    /// The map of [`Plan::shared_detector_map`] for a pattern with `k(row, column)` in 1/Angstrom.
+    pub(super) fn detector_map_of(
+        &self,
+        grid: &Grid,
+        stride: usize,
+        ramp_mrad: f64,
+        share: impl Fn(&Detector, f64) -> f64,
+        k: impl Fn(usize, usize) -> [f64; 2],
+    ) -> DetectorMap {
         let wavelength = self.settings.optics.wavelength_angstrom();
         let limit_mrad = self.cutoff_mrad();
         let pixel_mrad = grid.dk().map(|dk| dk * wavelength * 1e3);
         let pattern = Pattern { shape: grid.shape(), stride, limit_mrad, ramp_mrad, pixel_mrad };
-        DetectorMap::new(&self.settings.detectors, pattern, |iy, ix| {
-            grid.k(iy, ix).map(|k| k * wavelength * 1e3)
-        })
+        let angles = |iy, ix| k(iy, ix).map(|k| k * wavelength * 1e3);
+        DetectorMap::new(&self.settings.detectors, pattern, angles, share)
     }
 
     /// Width of the detectors' soft edges in mrad: one Fourier pixel in windows, whose pixels are coarse, and 0 on the full grid.
@@ -337,7 +359,6 @@ fn record_after(thicknesses: &[f64], slices: &Slices) -> Result<Vec<usize>> {
 mod tests {
     use super::super::settings::BeyondLimit;
     use super::*;
-    use crate::detect::Detector;
 
     const CELL: [f64; 3] = [19.525, 19.525, 39.05];
 

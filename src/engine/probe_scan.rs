@@ -23,7 +23,7 @@ impl Scan {
     }
 
     /// Position (x, y) of probe `index` (row-major) in Angstrom.
-    pub(crate) fn position(&self, index: usize) -> [f64; 2] {
+    pub fn position(&self, index: usize) -> [f64; 2] {
         let (row, column) = (index / self.shape[1], index % self.shape[1]);
         [
             self.origin_angstrom[0] + column as f64 * self.step_angstrom[0],

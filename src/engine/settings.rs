@@ -167,9 +167,9 @@ pub struct Settings {
     /// Adds the intensity that the part of a probe outside its window would have scattered onto the detectors (windows and large boxes), as
     /// from free atoms; see the source of `engine::probe_tail`.
     pub tail_correction: bool,
-    /// Scales images on detectors that see the direct beam so that vacuum is right, where tails are corrected: the cropped part of a probe
-    /// belongs on these detectors too. See the source of `engine::direct_beam`. `Settings::default` has it off, since worlds scale their
-    /// tiles in this way.
+    /// Where tails are corrected, adds the wave of the cropped part of a probe for detectors that begin within 1.5 semiangles (windows:
+    /// `engine::coherent_tail`), or scales images on detectors that see the direct beam so that vacuum is right (large boxes:
+    /// `engine::direct_beam`). `Settings::default` has it off.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub direct_beam: bool,
     /// Radius of the anti-aliasing aperture in units of the Nyquist frequency. 2/3

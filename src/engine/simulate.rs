@@ -275,7 +275,7 @@ fn diffraction_of(
         ));
     }
     let builder = TransmissionBuilder::new(plan, &elements(sites))?;
-    let mut engine = Multislice::new(plan);
+    let mut engine = Multislice::lending(plan);
     let share = 1.0 / configurations.len() as f32;
     let mut sum = Array2::zeros(plan.wave_grid.shape());
     for configuration in configurations {
@@ -326,14 +326,7 @@ pub fn exit_wave(
     for step in steps {
         stepper.propagate(&mut waves, step, view, &mut w);
     }
-    stepper.propagate_freely(&mut waves, &to_exit, &mut w.fft);
-    let [mut wave] = waves;
-    if let [low, high] = stepper.band() {
-        for row in wave.chunks_exact_mut(fft.stride()) {
-            row[low.end..high.start].fill(Complex32::ZERO);
-        }
-    }
-    fft.all_rows(&mut wave, true, &mut w.fft);
+    let wave = stepper.leaving(&waves[0], &to_exit, &mut w.fft);
     let mut out = Array2::zeros((ny, nx));
     for y in 0..ny {
         for x in 0..nx {
@@ -341,6 +334,33 @@ pub fn exit_wave(
         }
     }
     Ok(out)
+}
+
+/// The waves of probes at places (x, y) in Angstrom in one phonon configuration, at each recorded thickness: (place, thickness, y, x), on
+/// the plan's wave grid. The squared moduli of a wave add to the fraction of the beam.
+///
+/// # Errors
+/// Errors of [`simulate()`]; [`Error::Invalid`] for plans with windows or for PRISM, and for a focal spread.
+pub(crate) fn probe_exit_waves(
+    plan: &Plan,
+    sites: &[Site],
+    places_angstrom: &[[f64; 2]],
+    configuration: u32,
+    progress: &dyn Progress,
+) -> Result<Array4<Complex32>> {
+    if plan.settings.algorithm != Algorithm::Multislice {
+        let expected = "exit waves are made by multislice on the full grid; leave the engine out, or name `multislice`";
+        return Err(Error::invalid(crate::Setting::Algorithm, plan.settings.algorithm, expected));
+    }
+    let spread = plan.settings.optics.focal_spread_angstrom;
+    if spread > 0.0 {
+        let expected =
+            "a wave has one focus; leave the focal spread out, or simulate a series of defocus";
+        return Err(Error::invalid(crate::Setting::FocalSpreadAngstrom, spread, expected));
+    }
+    let builder = TransmissionBuilder::new(plan, &elements(sites))?;
+    let transmission = builder.build(sites, configuration, progress)?;
+    Multislice::lending(plan).exit_waves(&transmission, places_angstrom, progress)
 }
 
 /// The atomic numbers of the elements in some sites, ascending.

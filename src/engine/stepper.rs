@@ -304,6 +304,25 @@ impl Stepper {
         self.fft.convolve_columns(waves, &self.band, propagator, scratch);
     }
 
+    /// The real-space values of a wave between steps after a last part of free space.
+    pub fn leaving(
+        &self,
+        wave: &Buffer,
+        propagator: &BandLimitedMultiplier,
+        scratch: &mut Scratch,
+    ) -> Buffer {
+        let mut waves = [wave.clone()];
+        self.propagate_freely(&mut waves, propagator, scratch);
+        let [mut wave] = waves;
+        if let [low, high] = self.band() {
+            for row in wave.chunks_exact_mut(self.fft.stride()) {
+                row[low.end..high.start].fill(Complex32::ZERO);
+            }
+        }
+        self.fft.all_rows(&mut wave, true, scratch);
+        wave
+    }
+
     /// Turns Fourier coefficients into the form that steps need. Columns outside `live` (from [`Fft2::band_columns`]) must be zero.
     pub fn start(&self, wave: &mut [Complex32], live: &[Range<usize>], scratch: &mut Scratch) {
         let row_length = self.fft.shape().1 as f32;

@@ -6,7 +6,6 @@
 //! pixels. `source_imager` blurs an image by the electron source.
 
 pub(crate) mod audit;
-mod beam_share;
 mod choose;
 pub(crate) mod direct;
 pub(crate) mod displaced_atoms;

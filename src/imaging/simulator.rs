@@ -3,11 +3,10 @@
 use crate::engine::settings::EXACT_BAND_FRACTION;
 use crate::engine::{
     Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, Plan, ProbeBox, ProbeRaster, ProbeStep,
-    Scan, Settings, Simulation, Site, WindowChoice, elements, probe_margin_angstrom, simulate,
-    window_for,
+    Scan, Settings, Simulation, Site, WindowChoice, elements, probe_margin_angstrom, sees_tail,
+    simulate, window_for,
 };
 use crate::error::{Error, Result};
-use crate::imaging::beam_share::beam_factors;
 use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::imaging::pixels::PixelBox;
 use crate::potential::slices::Slicing;
@@ -17,7 +16,7 @@ use crate::recipe::tables::StructureKind;
 use crate::recipe::{BEYOND_FIELD_NM, Recipe};
 use crate::resample::{Kernel, image_band_limit};
 use crate::specimen::DISPLACED_NM;
-use ndarray::{Array2, ArrayView2, Axis};
+use ndarray::{Array2, Axis};
 
 /// Simulates sub-tiles of a world with [`crate::engine`].
 #[derive(Debug, Clone)]
@@ -60,10 +59,12 @@ impl Simulator {
         // Where pixels need no probes between them, they need no probes beyond the edge of the area either.
         let coarse =
             10.0 * recipe.field.pixel_nm() >= Kernel::default_step(image_band_limit(&optics));
+        let detectors = recipe.detector.all();
         let settings = Settings {
+            direct_beam: detectors.iter().any(|detector| sees_tail(detector, &optics)),
             probe_step: if coarse { ProbeStep::Scan } else { ProbeStep::Auto },
             optics,
-            detectors: recipe.detector.all(),
+            detectors,
             phonons: Some(Phonons {
                 configurations: recipe.phonons.configurations as u32,
                 seed: recipe.seed,
@@ -117,9 +118,8 @@ impl Simulator {
             }
             share.complete();
         }
-        let mean =
-            |(sum, factor): (Array2<f64>, f64)| sum.mapv(|s| s / configurations as f64 * factor);
-        Ok(sums.into_iter().zip(beam_factors(&plan)?).map(mean).collect())
+        let mean = |sum: Array2<f64>| sum.mapv(|s| s / configurations as f64);
+        Ok(sums.into_iter().map(mean).collect())
     }
 
     /// Number of detectors.
@@ -283,8 +283,6 @@ impl Simulator {
         let plan = Plan::new(&self.settings, pixels.size_angstrom, &heights)?;
         let images = simulate(&plan, sites, &pixels.scan, progress)?;
         let at_exit = images.data.index_axis_move(Axis(0), 0);
-        let factors = beam_factors(&plan)?;
-        let image = |(image, factor): (ArrayView2<f32>, &f64)| image.mapv(|v| v * *factor as f32);
-        Ok(at_exit.outer_iter().zip(&factors).map(image).collect())
+        Ok(at_exit.outer_iter().map(|image| image.to_owned()).collect())
     }
 }

@@ -15,7 +15,9 @@ pub(crate) use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat};
 pub(crate) use foreign::npz_file::write_npz;
 #[cfg(feature = "report")]
 pub use foreign::{
-    arrays, recorded,
+    arrays,
+    npz_file::write_complex_npy,
+    recorded,
     tiff_file::{TiffDepth, write_tiff},
 };
 // `self`, because a crate is called `hdf5` too.

@@ -1,6 +1,7 @@
 //! A prepared simulation: plans, warnings, memory and time, and the run.
 
-use ndarray::{Array2, Axis};
+use ndarray::{Array2, Array5, Axis};
+use num_complex::Complex32;
 
 use super::atoms::PreparedSpecimen;
 use super::images::{self, SimulatedImage};
@@ -12,7 +13,7 @@ use super::request::SimulationRequest;
 use super::time_estimate::threads;
 use crate::engine::{
     AccuracyFound, Cost, Images, Plan, ProbeRaster, Scan, ScanPart, SourceBlur, check_memory,
-    mean_diffraction, simulate_part, simulate_places, simulate_series,
+    mean_diffraction, probe_exit_waves, simulate_part, simulate_places, simulate_series,
 };
 use crate::error::{Error, Result};
 use crate::files::Shard;
@@ -343,6 +344,59 @@ impl SimulationJob {
         let pattern = mean_diffraction(plan, &self.specimen.sites, place_angstrom, progress)?;
         let wavelength = plan.settings.optics.wavelength_angstrom();
         Ok((pattern, plan.wave_grid.extent_angstrom.map(|extent| 1e3 * wavelength / extent)))
+    }
+
+    /// The exit waves of probes, each at a place (x, y) in Angstrom, in every phonon configuration and at every recorded thickness, as
+    /// (configuration, place, thickness, y, x), for each defocus. The squared moduli of a wave add to the fraction of the beam.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for places far outside the cell, several frames, an engine other than multislice, a focal spread or a size of the
+    /// source; [`Error::Memory`] unless `force`.
+    pub fn exit_waves(
+        &self,
+        places_angstrom: &[[f64; 2]],
+        force: bool,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Array5<Complex32>>> {
+        self.needs_images()?;
+        let [x, y, _] = self.specimen.size_angstrom;
+        plausibility::check_places(places_angstrom, [x, y])?;
+        if let Some(source) = self.request.microscope.source_size_angstrom {
+            let expected = "a wave comes from a point source; leave the size of the source out";
+            return Err(Error::invalid(Setting::SourceSizeAngstrom, source, expected));
+        }
+        if !self.specimen.more_frames.is_empty() {
+            let expected = "exit waves are of one structure; leave the frames out";
+            return Err(Error::invalid(Setting::Frames, self.specimen.frames().len(), expected));
+        }
+        let plans = self.plans_of_single_probes()?;
+        let values = |plan: &Plan| {
+            let [nx, ny] = plan.wave_grid.points;
+            plan.settings.configurations() as usize * plan.record_after.len() * nx * ny
+        };
+        let all = plans.iter().map(values).sum::<usize>() * places_angstrom.len();
+        if !force {
+            // One configuration is in memory twice.
+            let bytes = 2 * all as u64 * size_of::<Complex32>() as u64;
+            check_memory(
+                bytes,
+                "use fewer probes, configurations or thicknesses, or a smaller cell",
+            )?;
+        }
+        let configurations = plans.iter().map(|plan| plan.settings.configurations()).sum::<u32>();
+        let probes = places_angstrom.len() as u64 * u64::from(configurations);
+        progress.start("simulating", "exit waves", probes);
+        let of_plan = |plan: &Plan| {
+            let of = |n| probe_exit_waves(plan, &self.specimen.sites, places_angstrom, n, progress);
+            let waves: Vec<_> =
+                (0..plan.settings.configurations()).map(of).collect::<Result<_>>()?;
+            let views: Vec<_> = waves.iter().map(|w| w.view()).collect();
+            ndarray::stack(Axis(0), &views)
+                .map_err(|e| Error::invalid(Setting::Pattern, e, "has the shape of the wave grid"))
+        };
+        let waves = plans.iter().map(of_plan).collect();
+        progress.finish();
+        waves
     }
 
     fn needs_images(&self) -> Result<()> {

@@ -51,6 +51,29 @@ fn every_algorithm_runs_and_threads_change_nothing() {
 }
 
 #[test]
+fn exit_waves_of_probes_are_a_numpy_array() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = silicon(folder.path());
+    command.args([
+        "--scan-points",
+        "3,2",
+        "--defocus",
+        "0,50",
+        "--phonons",
+        "2",
+        "--sigma",
+        "0.08",
+    ]);
+    let summary = json(command.args(["--exit-waves"]));
+    assert!(summary["exit_waves"].as_str().unwrap().ends_with("si_exit_waves.npy"), "{summary}");
+    let told = python("check_waves.py", &[&folder.path().join("si_exit_waves.npy")]);
+    assert_eq!(told, "complex64 (2, 2, 2, 3, 1, 55, 55)\n");
+    let wrong =
+        silicon(folder.path()).args(["--exit-waves", "--engine", "window"]).output().unwrap();
+    assert!(!wrong.status.success() && stderr(&wrong).contains("full grid"), "{}", stderr(&wrong));
+}
+
+#[test]
 fn plane_waves_give_exit_wave_and_image() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = stemgen(folder.path());

@@ -430,6 +430,29 @@ def case_srtio3_patterns():
     save(name, arrays, described, {**same, **settings_for(atoms, gpts, dz, n, **extra)})
 
 
+def case_srtio3_waves():
+    """Exit waves of two probes in the atoms of srtio3_prism_f2, with a defocus: their complex Fourier coefficients at low angles."""
+    name, dz, gpts, n, most, defocus = "srtio3_waves", A_STO / 2, (300, 300), 20, 40.0, 50.0
+    atoms = ase.io.read(HERE / "srtio3_prism_f2.xyz")
+    places = [(126 * A_STO / 50, 139 * A_STO / 50), (173 * A_STO / 50, 157 * A_STO / 50)]
+    exact, _ = potentials(atoms, gpts, dz, n)
+    probe = abtem.Probe(energy=ENERGY, semiangle_cutoff=SEMIANGLE, defocus=defocus)
+    extent = atoms.cell.lengths()[:2]
+    kept = int(most * 1e-3 / WAVELENGTH * extent[0])
+    order = np.r_[-kept : kept + 1]
+    waves = [probe.multislice(exact, scan=np.array(at), lazy=False).array.reshape(gpts).T for at in places]
+    held = np.array([np.fft.fft2(wave)[np.ix_(order, order)] for wave in waves])
+    arrays = {"real": held.real, "imaginary": held.imag}
+    described = {
+        part: f"[probe, ky, kx], both from {-kept} to {kept} times 1/{extent[0]:g} 1/A, zero at index {kept}: {part} part of the Fourier "
+        "coefficients sum psi(r) exp(-2 pi i k.r); the squares of all coefficients add to the fraction of the beam"
+        for part in arrays
+    }
+    extra = {"positions_A": places, "defocus_A": defocus}
+    same = {"atoms": "srtio3_prism_f2.xyz", "cell_A": atoms.cell.lengths().tolist()}
+    save(name, arrays, described, {**same, **settings_for(atoms, gpts, dz, n, **extra)})
+
+
 def case_potential_srtio3():
     """Projected potentials of single planes (V A) on the grid of one cell, and of atoms off the grid on an oblong grid."""
     name, dz = "potential_srtio3", A_STO / 2

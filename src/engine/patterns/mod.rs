@@ -1,9 +1,8 @@
 //! Diffraction patterns of every probe of a scan (4D-STEM), from the exit waves of multislice, on the full grid or in windows.
 //!
 //! Patterns are made for some rows of the scan at a time and passed on, so that memory does not grow with the scan. Windows are padded, and
-//! the part of the probe that they cut off is added coherently (see `padded_box`).
+//! the part of the probe that they cut off is added coherently (see `engine::coherent_tail`).
 
-mod padded_box;
 mod pattern_cost;
 mod pixel_matrices;
 mod ring_sums;

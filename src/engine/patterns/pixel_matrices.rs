@@ -1,6 +1,6 @@
 //! Converts intensities at the frequencies of a box, or of a window, to the pixels of a detector.
 
-use super::padded_box::PaddedBox;
+use super::super::padded_box::PaddedBox;
 use crate::detect::PixelatedDetector;
 use crate::fft::frequency;
 use crate::matrix::multiply;

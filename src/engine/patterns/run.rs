@@ -1,26 +1,22 @@
 //! Propagates the probes of a scan, and reads their patterns.
 
-use super::super::basis::Basis;
+use super::super::coherent_tail::{CoherentTail, SharedWaves, mean_transmissions, tail_angle};
 use super::super::multislice::{Multislice, MultisliceWorkspace, PathPart};
+use super::super::padded_box::{OF_PATTERNS, PaddedBox, PaddedWorkspace, SplitWorkspace};
 use super::super::plan::Plan;
-use super::super::probe::{CroppedProbe, low_bins};
-use super::super::probe_patches::{Patch, ProbePatches, amplitude_nyquist};
+use super::super::probe_patches::{Patch, ProbePatches};
 use super::super::probe_scan::Scan;
-use super::super::single_precision::single;
 use super::super::stepper::TransmissionView;
-use super::super::transmission::{Transmission, TransmissionLayout};
+use super::super::transmission::Transmission;
 use super::PatternSettings;
-use super::padded_box::{PaddedBox, PaddedWorkspace, ProbeSplit, SplitWorkspace};
 use super::pixel_matrices::PixelMatrices;
 use super::ring_sums::RingSums;
 use crate::detect::{PatternDetector, RadialBins};
 use crate::matrix::multiply;
-use num_complex::{Complex32, Complex64};
+use num_complex::Complex32;
 
 /// Number of probes whose patterns are assembled from their waves at a time.
 pub(super) const PROBES_TOGETHER: usize = 16;
-/// The tail is added up to the angle at which electrons move by this share of the window's width inside the specimen.
-const TAIL_REACH: f64 = 0.4;
 /// Number of the box's frequencies that are kept beyond the pixels, since intensities are interpolated between them.
 const MARGIN: f64 = 12.0;
 
@@ -36,7 +32,7 @@ pub(super) struct PatternReader<'a> {
     /// Whether any value is read from the window's own frequencies.
     from_window: bool,
     /// Probes in the box around a window, for each focus with its weight; `None` on the full grid.
-    around: Option<Around>,
+    around: Option<CoherentTail<'a>>,
 }
 
 /// Converts amplitudes to the values of a pattern.
@@ -55,20 +51,6 @@ struct OuterPixels {
     matrices: PixelMatrices,
     /// For each pixel, whether it is read from the window's frequencies.
     taken: Vec<bool>,
-}
-
-struct Around {
-    split: ProbeSplit,
-    probes: Vec<(f64, CroppedProbe)>,
-}
-
-/// Waves that are propagated in place of the probes of a patch; all patches share them.
-pub(super) struct SharedWaves {
-    /// Coefficients on the bins of the window's probes.
-    inside: Vec<Vec<Complex32>>,
-    /// Kept frequencies in the box of the waves' part outside the window.
-    outside: Vec<Vec<Complex32>>,
-    basis: Basis,
 }
 
 /// One thread's arrays.
@@ -118,7 +100,7 @@ impl PatternReach {
             false => plan.band_limit,
         };
         let boxed = |full_k: f64, edge: f64| {
-            PaddedBox::new(window, stride, full_k, edge + MARGIN / (2.0 * width))
+            PaddedBox::new(plan, stride, [full_k, edge + MARGIN / (2.0 * width)], OF_PATTERNS)
         };
         match detector {
             PatternDetector::Pixels(detector) => {
@@ -160,7 +142,7 @@ impl PatternReach {
         let per_k = 1e3 * plan.settings.optics.wavelength_angstrom();
         let taken = |ring: usize| self.outer.as_ref().is_some_and(|outer| outer[ring]);
         let angles = self.padded.frequencies().map(|[kx, ky]| per_k * kx.hypot(ky));
-        let ramp = 0.5 * plan.detector_ramp_mrad();
+        let ramp = plan.detector_ramp_mrad() / self.padded.times as f64;
         let fine = RingSums::new(bins, ramp, angles, |ring| !taken(ring));
         let grid = plan.wave_grid;
         let [nx, ny] = grid.points;
@@ -188,7 +170,7 @@ pub(super) fn patches(plan: &Plan, scan: &Scan) -> ProbePatches {
 
 impl<'a> PatternReader<'a> {
     pub fn new(plan: &'a Plan, settings: PatternSettings) -> Self {
-        let engine = Multislice::new(plan);
+        let engine = Multislice::lending(plan);
         let wavelength = plan.settings.optics.wavelength_angstrom();
         let reach = PatternReach::new(plan, &settings.detector, engine.stride());
         let (read_from_box, from_window) = (reach.read_from_box(), reach.outer.is_some());
@@ -207,7 +189,7 @@ impl<'a> PatternReader<'a> {
             }
         };
         let padded = reach.padded;
-        let around = plan.has_windows().then(|| Around::new(plan, &padded, &engine));
+        let around = plan.has_windows().then(|| CoherentTail::new(plan, &padded, engine.bins()));
         PatternReader { plan, engine, settings, padded, values, read_from_box, from_window, around }
     }
 
@@ -215,7 +197,7 @@ impl<'a> PatternReader<'a> {
         ReaderWorkspace {
             multislice: self.engine.workspace(),
             padded: self.padded.workspace(),
-            split: self.around.as_ref().map(|around| around.split.workspace()),
+            split: self.around.as_ref().map(CoherentTail::workspace),
             fine: Vec::new(),
             own: Vec::new(),
             amplitudes: Vec::new(),
@@ -233,7 +215,7 @@ impl<'a> PatternReader<'a> {
         let patches = patches(self.plan, scan);
         match (patches.error, &self.around) {
             (Some(error), Some(around)) => {
-                let waves = around.shared(self.plan, &self.padded, patches.half(self.plan), error);
+                let waves = around.shared(&self.padded, patches.half(self.plan), error);
                 (patches.patches, Some(waves))
             }
             _ => {
@@ -260,7 +242,7 @@ impl<'a> PatternReader<'a> {
         shared: Option<&SharedWaves>,
         out: &mut [f32],
     ) {
-        let means = self.mean_transmissions(at);
+        let means = mean_transmissions(self.plan, at.view);
         match (shared, &self.around) {
             (Some(waves), Some(around)) => self.add_expanded(w, at, (waves, around), &means, out),
             _ => self.add_each(w, at, &means, out),
@@ -272,18 +254,12 @@ impl<'a> PatternReader<'a> {
         &self,
         w: &mut ReaderWorkspace,
         at: &GroupPath<'_>,
-        (shared, around): (&SharedWaves, &Around),
+        (shared, around): (&SharedWaves, &CoherentTail<'_>),
         means: &[Complex32],
         out: &mut [f32],
     ) {
-        let (n, probes) = (shared.inside.len(), at.group.probes.len());
-        let places: Vec<(usize, [f64; 2])> =
-            at.group.probes.iter().map(|(i, p)| (*i, around.in_box(*p))).collect();
-        let coefficients: Vec<(f32, Vec<Complex32>)> = around
-            .probes
-            .iter()
-            .map(|(weight, probe)| (*weight as f32, shared.basis.coefficients(probe, &places)))
-            .collect();
+        let (n, probes) = (shared.len(), at.group.probes.len());
+        let coefficients = around.coefficients(shared, &at.group.probes);
         let (kept, own) = (self.padded.len(), self.own_len());
         w.fine.resize(n * kept, Complex32::ZERO);
         w.own.resize(n * own, Complex32::ZERO);
@@ -291,7 +267,7 @@ impl<'a> PatternReader<'a> {
         self.engine.begin_all(&mut w.multislice, inside);
         for (r, part) in at.path.iter().enumerate() {
             self.engine.step_all(&mut w.multislice, n, &part.steps, at.view);
-            let phases = self.tail_phases(part);
+            let phases = self.padded.tail_phases(self.plan, part);
             for j in 0..n {
                 let psi = self.engine.spectrum(&mut w.multislice, j);
                 self.own_frequencies(psi, &mut w.own[j * own..][..own]);
@@ -305,6 +281,7 @@ impl<'a> PatternReader<'a> {
                 }
             }
             for (weight, c) in &coefficients {
+                let weight = *weight as f32;
                 for first in (0..probes).step_by(PROBES_TOGETHER) {
                     let some = PROBES_TOGETHER.min(probes - first);
                     let c = (&c[first..], [1, probes]);
@@ -315,7 +292,7 @@ impl<'a> PatternReader<'a> {
                         multiply((some, kept, n), (amplitudes, kept), c, (&w.fine, kept));
                         for (i, fine) in amplitudes.chunks_exact(kept).take(some).enumerate() {
                             let out = &mut out[to(i)..][..self.pattern_len()];
-                            self.read_fine(fine, *weight, &mut w.pixels, out);
+                            self.read_fine(fine, weight, &mut w.pixels, out);
                         }
                     }
                     if own == 0 {
@@ -324,7 +301,7 @@ impl<'a> PatternReader<'a> {
                     multiply((some, own, n), (amplitudes, own), c, (&w.own, own));
                     for (i, own) in amplitudes.chunks_exact(own).take(some).enumerate() {
                         let out = &mut out[to(i)..][..self.pattern_len()];
-                        self.read_own(own, *weight, &mut w.pixels, out);
+                        self.read_own(own, weight, &mut w.pixels, out);
                     }
                 }
             }
@@ -349,9 +326,7 @@ impl<'a> PatternReader<'a> {
             for (_, position) in probes {
                 match (&self.around, &mut w.split) {
                     (Some(around), Some(split)) => {
-                        let wave = around.probes[focus].1.at(around.in_box(*position));
-                        let wave: Vec<Complex32> = wave.into_iter().map(single).collect();
-                        let (held, rest) = around.split.split(&self.padded, &wave, split);
+                        let (held, rest) = around.probe(&self.padded, (*position, focus), split);
                         inside.push(held);
                         outside.push(rest);
                     }
@@ -361,7 +336,7 @@ impl<'a> PatternReader<'a> {
             self.engine.begin_all(&mut w.multislice, inside.iter().map(Vec::as_slice));
             for (r, part) in at.path.iter().enumerate() {
                 self.engine.step_all(&mut w.multislice, probes.len(), &part.steps, at.view);
-                let phases = self.tail_phases(part);
+                let phases = self.padded.tail_phases(self.plan, part);
                 for (j, (_, position)) in probes.iter().enumerate() {
                     let to = (j * at.path.len() + r) * self.pattern_len();
                     let psi = self.engine.spectrum(&mut w.multislice, j);
@@ -448,52 +423,6 @@ impl<'a> PatternReader<'a> {
             }
         }
     }
-
-    /// The phases of the tail after free-space propagation to the end of a part of a path.
-    fn tail_phases(&self, part: &PathPart) -> [Vec<Complex32>; 2] {
-        let plan = self.plan;
-        let distance = part.height_angstrom - plan.slices.entrance();
-        let (way, pixel) =
-            (plan.beam_shift(part.height_angstrom), plan.wave_grid.sampling_angstrom());
-        let way = [0, 1].map(|k| way[k] - part.moved[k] as f64 * pixel[k]);
-        self.padded.phases(way, plan.settings.optics.wavelength_angstrom() * distance)
-    }
-
-    /// The product of the slices' mean transmissions around a window, up to the end of each part of the path.
-    fn mean_transmissions(&self, at: &GroupPath<'_>) -> Vec<Complex32> {
-        let TransmissionLayout::Padded { stride } = at.view.transmission.layout else {
-            return vec![Complex32::ONE; at.path.len()];
-        };
-        let cell = self.plan.transmission_grid.points;
-        let window = self.plan.wave_grid.points;
-        // The mean covers the box around the window, but no part of the cell twice.
-        let lines = |k: usize, origin: usize| {
-            let first = origin as i64 - window[k] as i64 / 2;
-            let n = (2 * window[k]).min(cell[k]);
-            (0..n).map(move |i| (first + i as i64).rem_euclid(cell[k] as i64) as usize)
-        };
-        let (row, column) = at.view.origin;
-        let columns: Vec<usize> = lines(0, column).collect();
-        let mean = |t: &[Complex32]| {
-            let of_row = |y: usize| {
-                let line = &t[y * stride..][..cell[0]];
-                columns.iter().map(|x| line[*x]).sum::<Complex32>()
-            };
-            let sum: Complex64 = lines(1, row).map(of_row).map(wide).sum();
-            sum / (columns.len() * lines(1, row).count()) as f64
-        };
-        let mut product = Complex64::ONE;
-        let mut first = 0;
-        let mut means = Vec::new();
-        for last in &self.plan.record_after {
-            for slice in &at.view.transmission.slices[first..=*last] {
-                product *= slice.as_deref().map_or(Complex64::ONE, mean);
-            }
-            first = last + 1;
-            means.push(single(product));
-        }
-        means
-    }
 }
 
 impl PixelWorkspace {
@@ -515,47 +444,4 @@ impl PixelWorkspace {
             }
         }
     }
-}
-
-impl Around {
-    fn new(plan: &Plan, padded: &PaddedBox, engine: &Multislice<'_>) -> Self {
-        let grid = ProbeSplit::grid_around(&plan.wave_grid);
-        let bins = low_bins(plan, &grid);
-        let split = ProbeSplit::new(padded, bins.clone(), engine.bins().to_vec());
-        let probe = |(weight, at): (f64, Plan)| {
-            let boxed = Plan { wave_grid: grid, ..at };
-            (weight, CroppedProbe::new(&boxed, &bins))
-        };
-        let probes = plan.at_foci().into_iter().map(probe).collect();
-        Around { split, probes }
-    }
-
-    /// Converts a position in the window (Angstrom) to a position in the box.
-    fn in_box(&self, position: [f64; 2]) -> [f64; 2] {
-        let pixel = self.split.grid.sampling_angstrom();
-        [0, 1].map(|k| position[k] + self.split.lead[k] as f64 * pixel[k])
-    }
-
-    /// The waves for probes at most `half` (Angstrom, x and y) from the middle of the window. `error` is each probe's error as share of its
-    /// amplitude.
-    fn shared(&self, plan: &Plan, padded: &PaddedBox, half: [f64; 2], error: f64) -> SharedWaves {
-        let probes: Vec<&CroppedProbe> = self.probes.iter().map(|(_, probe)| probe).collect();
-        let basis = Basis::new(&probes, half, amplitude_nyquist(plan), error);
-        let mut w = self.split.workspace();
-        let split = |j: usize| self.split.split(padded, basis.wave(j), &mut w);
-        let (inside, outside) = (0..basis.len()).map(split).unzip();
-        SharedWaves { inside, outside, basis }
-    }
-}
-
-/// The angle in radians up to which the coherent tail of a window of `width` (Angstrom) is added.
-fn tail_angle(plan: &Plan, width: f64) -> f64 {
-    let thickness = plan.thicknesses_angstrom().into_iter().fold(0.0, f64::max);
-    let least = 1.5e-3 * plan.settings.optics.semiangle_mrad;
-
-    (TAIL_REACH * width / thickness.max(1e-3)).max(least)
-}
-
-fn wide(c: Complex32) -> Complex64 {
-    Complex64::new(f64::from(c.re), f64::from(c.im))
 }

@@ -21,6 +21,8 @@ use crate::structure::elements;
 
 /// Version of the draws. The text from which the seeds of phonons are made begins with it.
 const DRAWS_VERSION: u32 = 7;
+/// Version of the images of recipes with several detectors. It is part of their keys.
+const SEVERAL_VERSION: u32 = 1;
 /// Number of the draw of [`Purpose::Library`] for the contents of surroundings.
 const SURROUNDINGS_DRAW: u32 = 1 << 20;
 
@@ -295,10 +297,10 @@ impl CellImages {
             "shape": self.scan.shape,
             "configuration": configuration,
         });
-        // Images of several detectors are scaled with factors that have a version.
+        // Images of several detectors have a version of their own.
         let text = match self.settings.detectors.len() {
             1 => text.to_string(),
-            _ => format!("{text} {}", crate::imaging::beam_share::VERSION),
+            _ => format!("{text} {SEVERAL_VERSION}"),
         };
         hex(&Sha256::digest(text))
     }

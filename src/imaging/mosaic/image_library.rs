@@ -8,7 +8,6 @@ use ndarray::Array2;
 use crate::engine::{Images, Plan, PlannedScan, Settings, Simulation};
 use crate::error::{Error, Result};
 use crate::files::Shard;
-use crate::imaging::beam_share::beam_factors;
 use crate::imaging::mosaic::cell_images::CellImages;
 use crate::imaging::mosaic::image_note::{ImageNote, NewImages};
 use crate::imaging::mosaic::library_cache::Cache;
@@ -445,7 +444,7 @@ fn images_of(cell: &CellImages, configurations: usize) -> impl Iterator<Item = [
 struct CellSimulator<'a> {
     plan: &'a Plan,
     sigma: &'a dyn Fn(u8) -> f64,
-    ready: Option<(Simulation<'a>, Vec<f64>)>,
+    ready: Option<Simulation<'a>>,
 }
 
 impl<'a> CellSimulator<'a> {
@@ -460,15 +459,12 @@ impl<'a> CellSimulator<'a> {
         image: [usize; 2],
         progress: &dyn Progress,
     ) -> Result<Array2<f32>> {
-        let (simulation, factors) = match &mut self.ready {
+        let simulation = match &mut self.ready {
             Some(ready) => ready,
-            none => {
-                let simulation = Simulation::new(self.plan, &cell.elements())?;
-                none.insert((simulation, beam_factors(self.plan)?))
-            }
+            none => none.insert(Simulation::new(self.plan, &cell.elements())?),
         };
         let atoms = cell.atoms(image[0], image[1], self.sigma);
-        Ok(stacked(&simulation.images(&atoms, &cell.scan, progress)?, factors))
+        Ok(stacked(&simulation.images(&atoms, &cell.scan, progress)?))
     }
 
     /// The note that the cache stores with the image.
@@ -477,10 +473,9 @@ impl<'a> CellSimulator<'a> {
     }
 }
 
-/// The images of all detectors, scaled with their factors, one below the other.
-fn stacked(images: &Images, factors: &[f64]) -> Array2<f32> {
+/// The images of all detectors, one below the other.
+fn stacked(images: &Images) -> Array2<f32> {
     let (_, detectors, rows, columns) = images.data.dim();
-    let of = |(n, factor): (usize, &f64)| images.image(0, n).mapv(|v| v * *factor as f32);
-    let values = factors.iter().enumerate().flat_map(|f| of(f).into_iter()).collect();
+    let values = (0..detectors).flat_map(|n| images.image(0, n).into_iter().copied()).collect();
     Array2::from_shape_vec((detectors * rows, columns), values).unwrap_or_default()
 }

@@ -4,7 +4,9 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
+use ndarray::ArrayViewD;
 use ndarray_npy::WriteNpyExt;
+use num_complex::Complex32;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
@@ -38,7 +40,7 @@ impl NpzWriter {
         count: usize,
         values: &[u8],
     ) -> std::io::Result<()> {
-        self.member(name, &[&head(fields, count)[..], values].concat())
+        self.member(name, &[&head(fields, &[count])[..], values].concat())
     }
 
     /// Adds an array of texts.
@@ -62,13 +64,39 @@ impl NpzWriter {
     }
 }
 
-/// Returns the header of a one-dimensional NumPy array (format 1.0); its length is a multiple of 64.
-fn head(descr: &str, count: usize) -> Vec<u8> {
-    let text = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': ({count},), }}");
+/// Returns the header of a NumPy array (format 1.0); its length is a multiple of 64.
+fn head(descr: &str, shape: &[usize]) -> Vec<u8> {
+    let shape: String = shape.iter().map(|n| format!("{n}, ")).collect();
+    let shape = shape.trim_end();
+    let text = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': ({shape}), }}");
     let length = (10 + text.len() + 1).next_multiple_of(64);
     let padding = " ".repeat(length - 10 - text.len() - 1);
     let size = ((length - 10) as u16).to_le_bytes();
     [b"\x93NUMPY\x01\x00", &size[..], text.as_bytes(), padding.as_bytes(), b"\n"].concat()
+}
+
+/// Writes complex numbers as NumPy's `.npy` (complex64). The file appears complete or not at all; an existing one is replaced only if
+/// `overwrite` is set.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write_complex_npy(
+    path: &Path,
+    overwrite: bool,
+    values: ArrayViewD<'_, Complex32>,
+) -> Result<()> {
+    atomic_write::write_with(path, overwrite, |temporary| {
+        let write = || -> std::io::Result<()> {
+            let mut file = BufWriter::new(File::create(temporary)?);
+            file.write_all(&head("'<c8'", values.shape()))?;
+            for value in values.iter() {
+                file.write_all(&value.re.to_le_bytes())?;
+                file.write_all(&value.im.to_le_bytes())?;
+            }
+            file.flush()
+        };
+        write().map_err(|e| Error::io(path, "write", e))
+    })
 }
 
 /// Writes an `.npz` that `fill` adds arrays to. It appears complete or not at all.

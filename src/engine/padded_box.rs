@@ -1,13 +1,14 @@
-//! The waves of a window and its surroundings, in a box twice as wide.
+//! The waves of a window and its surroundings, in a box twice as wide or wider.
 //!
-//! A window of width W samples diffraction patterns at steps of 1 / W, and lacks the part of the probe that it cuts off. In a box of twice
-//! the width the step is 1 / (2 W), and there is room for the *coherent tail*: the part of the probe outside the window. The tail is
+//! A window of width W samples diffraction patterns at steps of 1 / W, and lacks the part of the probe that it cuts off. In a box of n times
+//! the width the step is 1 / (n W), and there is room for the *coherent tail*: the part of the probe outside the window. The tail is
 //! propagated through free space, multiplied by the mean transmission of the slices, and added to the wave of the window. Waves beyond the
 //! tail's angle are left out of the sum: electrons scattered that far reach the window's edge inside the specimen, and come in again at the
 //! other side.
 
-use super::super::grid::Grid;
-use super::super::single_precision::single;
+use super::grid::Grid;
+use super::plan::Plan;
+use super::single_precision::single;
 use crate::fft::{Buffer, Fft2, Scratch, good_size};
 use num_complex::{Complex32, Complex64};
 use std::f64::consts::PI;
@@ -15,10 +16,17 @@ use std::ops::Range;
 
 /// Angle beyond which no waves are kept, in units of the angle up to which they are kept in full.
 const LOW_PASS_ENDS: f64 = 1.15;
+/// Least width of the box for patterns, in units of the wavelength over the semiangle (31 A at 200 kV and 21 mrad). A box of 15.6 A lacks 1 %
+/// of the bright field of SrTiO3.
+pub(super) const OF_PATTERNS: f64 = 25.9;
+/// Largest width of the box in units of the window's.
+const MOST_TIMES: usize = 10;
 
 /// The box around a window, with the positions of its frequencies in arrays.
 pub(super) struct PaddedBox {
     window: Grid,
+    /// Width of the box in units of the window's.
+    pub times: usize,
     /// Points of a grid over the window that is just fine enough for the kept frequencies; even.
     coarse: [usize; 2],
     coarse_fft: Fft2,
@@ -40,23 +48,43 @@ pub(super) struct PaddedWorkspace {
     scratch: (Scratch, Scratch),
 }
 
+/// The share of the amplitude that is kept at a frequency k, if waves are kept in full up to `full_k`.
+pub(super) fn low_pass(k: f64, full_k: f64) -> f64 {
+    let end = LOW_PASS_ENDS * full_k;
+    match k {
+        k if k <= full_k => 1.0,
+        k if k >= end => 0.0,
+        k => 0.5 + 0.5 * (PI * (k - full_k) / (end - full_k)).cos(),
+    }
+}
+
+/// The width of the box in units of the window's, from its least width in units of the wavelength over the semiangle. On the full grid the
+/// box only makes the steps of frequencies finer.
+fn times_the_window(plan: &Plan, least_width: f64) -> usize {
+    if !plan.has_windows() {
+        return 2;
+    }
+    let optics = &plan.settings.optics;
+    let [x, y] = plan.wave_grid.extent_angstrom;
+    let least = least_width * optics.wavelength_angstrom() / (1e-3 * optics.semiangle_mrad);
+    ((least / x.min(y)).ceil() as usize).clamp(2, MOST_TIMES)
+}
+
 impl PaddedBox {
-    /// Makes the box around `window`. Waves are kept up to `full_k` (1/Angstrom), and the box's frequencies up to `most_k` along each axis.
+    /// Makes the box around the windows of a plan. Waves are kept up to `full_k` (1/Angstrom), and the box's frequencies up to `most_k` along each axis.
     /// `stride` is the row stride of waves on the window's grid.
-    pub fn new(window: Grid, stride: usize, full_k: f64, most_k: f64) -> Self {
+    pub fn new(plan: &Plan, stride: usize, [full_k, most_k]: [f64; 2], least_width: f64) -> Self {
+        let (window, times) = (plan.wave_grid, times_the_window(plan, least_width));
         let end = LOW_PASS_ENDS * full_k;
         let along = window.extent_angstrom;
         let highest = |k: usize| ((end * along[k]) as usize).min((window.points[k] - 1) / 2);
         let coarse = [0, 1].map(|k| good_size(2 * highest(k) + 2, 2));
-        let reach =
-            [0, 1].map(|k| ((2.0 * along[k] * most_k.min(end)) as usize).min(coarse[k] - 1));
-        let weight = |k2: f64| match k2.sqrt() {
-            k if k <= full_k => 1.0,
-            k if k >= end => 0.0,
-            k => 0.5 + 0.5 * (PI * (k - full_k) / (end - full_k)).cos(),
-        };
+        let reach = [0, 1].map(|k| {
+            ((times as f64 * along[k] * most_k.min(end)) as usize).min(times * coarse[k] / 2 - 1)
+        });
+        let weight = |k2: f64| low_pass(k2.sqrt(), full_k);
         let coarse_fft = Fft2::new(coarse[1], coarse[0]);
-        let box_fft = Fft2::new(2 * coarse[1], 2 * coarse[0]);
+        let box_fft = Fft2::new(times * coarse[1], times * coarse[0]);
         let pixels = (window.points[0] * window.points[1]) as f64;
         let mut inside = Vec::new();
         let [hx, hy] = [highest(0) as i64, highest(1) as i64];
@@ -73,6 +101,7 @@ impl PaddedBox {
         }
         let mut padded = PaddedBox {
             window,
+            times,
             coarse,
             coarse_columns: coarse_fft.band_columns(highest(0)),
             coarse_fft,
@@ -100,12 +129,12 @@ impl PaddedBox {
 
     /// Width (x, y) of the box in Angstrom.
     pub fn extent_angstrom(&self) -> [f64; 2] {
-        self.window.extent_angstrom.map(|l| 2.0 * l)
+        self.window.extent_angstrom.map(|l| self.times as f64 * l)
     }
 
     /// Points (x, y) of the grid over the box on which its waves are stored.
     pub fn points(&self) -> [usize; 2] {
-        self.coarse.map(|n| 2 * n)
+        self.coarse.map(|n| self.times * n)
     }
 
     /// The kept frequencies (kx, ky) in 1/Angstrom, row by row.
@@ -147,9 +176,11 @@ impl PaddedBox {
         let first = centre.map_or([0; 2], |centre| self.first_of(centre));
         let (from, to) = (self.coarse_fft.stride(), self.box_fft.stride());
         padded.fill(Complex32::ZERO);
+        // Twice the widths of the window before it.
+        let before = self.times - 1;
         for y in 0..ny {
             let row = &coarse[(y + first[1]) % ny * from..][..nx];
-            let line = &mut padded[(y + ny / 2) * to + nx / 2..][..nx];
+            let line = &mut padded[(y + before * ny / 2) * to + before * nx / 2..][..nx];
             let (left, right) = row.split_at(first[0]);
             line[..right.len()].copy_from_slice(right);
             line[right.len()..].copy_from_slice(left);
@@ -158,8 +189,8 @@ impl PaddedBox {
         for columns in &self.box_columns {
             self.box_fft.some_columns(padded, columns.clone(), false, &mut scratch.1);
         }
-        // The box has twice the window's width along both axes, and four times its pixels.
-        let scale = 2.0 / (4 * nx * ny) as f32;
+        // A wave's amplitude per point falls with the width of the box.
+        let scale = self.times as f32 / (self.times * self.times * nx * ny) as f32;
         self.keep(padded, to, self.points(), |v, _| v * scale, out);
     }
 
@@ -217,11 +248,11 @@ pub(super) struct SplitWorkspace {
 }
 
 impl ProbeSplit {
-    /// The box twice as wide as the window, on its pixels.
-    pub fn grid_around(window: &Grid) -> Grid {
+    /// The box on the window's pixels.
+    pub fn grid_around(padded: &PaddedBox) -> Grid {
         Grid {
-            points: window.points.map(|n| 2 * n),
-            extent_angstrom: window.extent_angstrom.map(|l| 2.0 * l),
+            points: padded.window.points.map(|n| padded.times * n),
+            extent_angstrom: padded.extent_angstrom(),
         }
     }
 
@@ -231,11 +262,12 @@ impl ProbeSplit {
         window_bins: Vec<(usize, usize)>,
     ) -> Self {
         let window = padded.window;
-        let grid = Self::grid_around(&window);
+        let grid = Self::grid_around(padded);
         // The middle of the box is the middle of the window, as probes count it.
-        let lead = window.points.map(|n| n - n / 2);
+        let lead = window.points.map(|n| padded.times * n / 2 - n / 2);
         let pixel = window.sampling_angstrom();
-        let shift = [0, 1].map(|k| 0.5 * window.extent_angstrom[k] - lead[k] as f64 * pixel[k]);
+        let before = 0.5 * (padded.times - 1) as f64;
+        let shift = [0, 1].map(|k| before * window.extent_angstrom[k] - lead[k] as f64 * pixel[k]);
         ProbeSplit {
             lead,
             grid,
@@ -272,10 +304,14 @@ impl ProbeSplit {
         }
         self.fft.inverse(around, &mut scratch.0);
         inside.fill(Complex32::ZERO);
-        // A wave has half the amplitude in the window, whose area is a fourth of the box's.
+        // Coefficients of norm 1 in the box are smaller by its width in the window.
+        let times = padded.times as f32;
         for y in 0..ny {
             let row = &around[(y + ly) * stride + lx..][..nx];
-            inside[y * narrow..][..nx].iter_mut().zip(row).for_each(|(to, v)| *to = v * 0.5);
+            inside[y * narrow..][..nx]
+                .iter_mut()
+                .zip(row)
+                .for_each(|(to, v)| *to = v * (1.0 / times));
         }
         self.window_fft.forward(inside, &mut scratch.1);
         let pixels = 1.0 / (nx * ny) as f32;
@@ -288,10 +324,10 @@ impl ProbeSplit {
         self.window_fft.inverse(inside, &mut scratch.1);
         for y in 0..ny {
             let row = &mut around[(y + ly) * stride + lx..][..nx];
-            row.iter_mut().zip(&inside[y * narrow..][..nx]).for_each(|(to, v)| *to -= v * 2.0);
+            row.iter_mut().zip(&inside[y * narrow..][..nx]).for_each(|(to, v)| *to -= v * times);
         }
         self.fft.forward(around, &mut scratch.0);
-        let scale = pixels * 0.25;
+        let scale = pixels / (times * times);
         let shift = padded.phases(self.shift, 0.0);
         let columns = padded.samples()[0];
         let value = |v: Complex32, at: usize| {
