@@ -10,15 +10,14 @@ use super::grid::Grid;
 use super::multislice::PathPart;
 use super::padded_box::{PaddedBox, PaddedWorkspace, SplitWorkspace, low_pass};
 use super::plan::Plan;
+use super::probe_patches::window_centre;
 use crate::detect::{Detector, DetectorMap};
 use crate::optics::Optics;
 use num_complex::Complex32;
 
-/// Least width of the box, in units of the wavelength over the semiangle (62 A at 200 kV and 21 mrad). The aperture and detectors have edges
-/// as wide as a step of frequency, and where both edges meet, an image lacks electrons: 1.7 % of ABF with a box of 31 A.
+/// Least width of the box, in units of the wavelength over the semiangle (62 A at 200 kV and 21 mrad). The edge of the aperture is as wide as
+/// a step of frequency.
 const LEAST_WIDTH: f64 = 51.8;
-/// Width of the detectors' soft edges in the box, in units of the box's step of frequency.
-const BOX_RAMP: f64 = 1.0;
 
 /// The detectors of a plan that read the coherent tail.
 pub(super) struct BrightDetectors<'a> {
@@ -91,9 +90,8 @@ impl<'a> BrightDetectors<'a> {
         let share = |d: &Detector, _| f64::from(u8::from(reads_tail(d, plan)));
         // The box's frequencies rise from the most negative one; a grid has them in FFT order.
         let ascending = |i: usize, k: usize| (i + reach[k] + 1) % (2 * reach[k] + 1);
-        let [dx, dy] = grid.dk();
-        let ramp_mrad = BOX_RAMP * dx.max(dy) * per_k;
-        let map = plan.detector_map_of(&grid, grid.points[0], ramp_mrad, share, |iy, ix| {
+        // As on the full grid, each frequency counts wholly or not at all.
+        let map = plan.detector_map_of(&grid, grid.points[0], 0.0, share, |iy, ix| {
             grid.k(ascending(iy, 1), ascending(ix, 0))
         });
         let tail = CoherentTail::new(plan, &padded, bins);
@@ -107,6 +105,29 @@ impl<'a> BrightDetectors<'a> {
             padded: self.padded.workspace(),
             fine: vec![Complex32::ZERO; self.padded.len()],
         }
+    }
+
+    /// The share of the beam that falls on each detector without a specimen; for other detectors 0. `bins` and `stride` are those of waves.
+    pub fn without_specimen(&self, bins: &[(usize, usize)], stride: usize) -> Vec<f64> {
+        let plan = self.plan;
+        let mut w = self.workspace();
+        let samples = self.padded.samples();
+        let there = TailThere {
+            phases: [0, 1].map(|k| vec![Complex32::ONE; samples[k]]),
+            transmission: Complex32::ONE,
+        };
+        let mut found = vec![0.0; plan.settings.detectors.len()];
+        let mut one = found.clone();
+        for (focus, (weight, _)) in plan.at_foci().into_iter().enumerate() {
+            let at = (window_centre(plan), focus);
+            let (inside, outside) = self.tail.probe(&self.padded, at, &mut w.split);
+            let mut psi = vec![Complex32::ZERO; stride * plan.wave_grid.points[1]];
+            for (&(row, column), v) in bins.iter().zip(&inside) {
+                psi[row * stride + column] = v * self.pixels;
+            }
+            self.add(&psi, (&outside, &there), (&mut w, &mut one), (weight, &mut found));
+        }
+        found
     }
 
     /// The box around a window.

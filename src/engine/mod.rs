@@ -71,8 +71,8 @@ pub use settings::{
     Phonons, ProbeBox, ProbeStep, Settings,
 };
 pub(crate) use simulate::elements;
-pub use simulate::{Simulation, exit_wave, simulate};
-pub(crate) use simulate::{diffraction, mean_diffraction, probe_exit_waves};
+pub use simulate::{Simulation, exit_wave, probe_exit_waves, simulate};
+pub(crate) use simulate::{diffraction, mean_diffraction};
 pub use single_scattering::{ScatteringMap, SingleScattering};
 pub use source_size::Source;
 pub(crate) use source_size::SourceBlur;

@@ -104,6 +104,12 @@ impl<'a> Multislice<'a> {
         this
     }
 
+    /// The share of the beam on detectors that read the coherent tail, without a specimen; `None` if there are no such detectors.
+    pub fn seen_without_specimen(&self) -> Option<Vec<f64>> {
+        let bright = self.bright.as_ref()?;
+        Some(bright.without_specimen(&self.probes[0].1.bins, self.stride()))
+    }
+
     /// The waves of a plan alone, for those who read them.
     pub fn lending(plan: &'a Plan) -> Self {
         let stepper = Stepper::new(plan);

@@ -62,7 +62,12 @@ impl<'a> LensEngine<'a> {
             Algorithm::Prism { .. } => WaveEngine::Prism(Box::new(Prism::new(plan))),
             _ => WaveEngine::Multislice(Box::new(Multislice::new(plan))),
         };
-        LensEngine { plan, engine, tail: ProbeTail::new(plan), factors: direct_beam_factors(plan) }
+        let in_windows = match &engine {
+            WaveEngine::Multislice(multislice) => multislice.seen_without_specimen(),
+            WaveEngine::Prism(_) => None,
+        };
+        let factors = direct_beam_factors(plan, in_windows);
+        LensEngine { plan, engine, tail: ProbeTail::new(plan), factors }
     }
 
     /// The images of probes at these places, averaged over phonon configurations, through each of these lenses. The lenses' plans differ
@@ -341,7 +346,7 @@ pub fn exit_wave(
 ///
 /// # Errors
 /// Errors of [`simulate()`]; [`Error::Invalid`] for plans with windows or for PRISM, and for a focal spread.
-pub(crate) fn probe_exit_waves(
+pub fn probe_exit_waves(
     plan: &Plan,
     sites: &[Site],
     places_angstrom: &[[f64; 2]],
