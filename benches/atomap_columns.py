@@ -44,6 +44,7 @@ def found_by_atomap(image: Any, pixel_nm: float, separation_nm: float, passes: i
         import hyperspy.api as hs
 
         hs.preferences.General.show_progressbar = False
+        hs.set_log_level("ERROR")
         signal = hs.signals.Signal2D(image)
         peaks = am.get_atom_positions(signal, separation=max(1, round(separation_nm / pixel_nm)))
         lattice = am.Sublattice(peaks, image=signal.data)
@@ -54,8 +55,11 @@ def found_by_atomap(image: Any, pixel_nm: float, separation_nm: float, passes: i
         return np.column_stack([lattice.x_position, lattice.y_position]) * pixel_nm
 
 
-def compared(found_nm: Any, truth_nm: Any, size_nm: tuple[float, float]) -> dict[str, float]:
-    """Pairs peaks with columns one to one, the nearest first; returns the shares found and false, and the errors of places in pm."""
+def compared(found_nm: Any, truth_nm: Any, names: Any, size_nm: tuple[float, float]) -> dict[str, Any]:
+    """Pairs peaks with columns one to one, the nearest first; returns the shares found and false, and the errors of places in pm.
+
+    `names` are the compositions of the columns. `of` lists the number of columns of each composition, and the share found.
+    """
     inside = [((p >= BORDER_NM) & (p <= np.array(size_nm) - BORDER_NM)).all(axis=1) for p in (found_nm, truth_nm)]
     apart = np.linalg.norm(found_nm[:, None, :] - truth_nm[None, :, :], axis=2)
     pairs = np.argwhere(apart <= NEAR_NM)
@@ -65,11 +69,13 @@ def compared(found_nm: Any, truth_nm: Any, size_nm: tuple[float, float]) -> dict
         if peak not in taken and column not in partner:
             partner[int(column)] = int(peak)
             taken.add(int(peak))
-    columns = [n for n in np.flatnonzero(inside[1])]
+    columns = np.flatnonzero(inside[1])
     peaks = np.flatnonzero(inside[0])
     hits = [n for n in columns if n in partner]
     errors = np.array([apart[partner[n], n] for n in hits])
+    kinds = {name: [n in partner for n in columns if names[n] == name] for name in sorted(set(names[columns]))}
     return {
+        "of": {name: [len(own), round(float(np.mean(own)), 4)] for name, own in kinds.items()},
         "columns": len(columns),
         "found": len(hits) / len(columns),
         "false": float(np.mean([peak not in taken for peak in peaks])),
@@ -85,14 +91,14 @@ def measured(path: str, separation_nm: float) -> list[dict[str, Any]]:
         pixel_nm = float(world["metadata"].attrs["pixel_size_nm"])
         columns = world["ground_truth/columns"]
         atoms = columns["number_of_sites"][:] - columns["vacancies"][:]
-        truth = columns["position"][:][atoms > 0]
+        truth, names = columns["position"][:][atoms > 0], columns["composition"].asstr()[:][atoms > 0]
         for name, group in (("counted", "tiles"), ("noise-free", "clean")):
             if group not in world:
                 continue
             image = stitched(world, group)
             found = found_by_atomap(image, pixel_nm, separation_nm)
             height, width = (n * pixel_nm for n in image.shape)
-            rows.append({"image": name, **compared(found, truth, (width, height))})
+            rows.append({"image": name, **compared(found, truth, names, (width, height))})
     return rows
 
 
@@ -100,7 +106,7 @@ def main() -> None:
     """Prints one line of JSON for each image."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("world")
-    parser.add_argument("--separation", type=float, default=0.12, help="least distance of two peaks in nm (default 0.12)")
+    parser.add_argument("--separation", type=float, default=0.08, help="least distance of two peaks in nm (default 0.08)")
     given = parser.parse_args()
     for row in measured(given.world, given.separation):
         print(json.dumps(row))
