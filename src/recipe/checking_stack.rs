@@ -87,8 +87,16 @@ pub fn check_stack(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> 
     symbols.sort();
     symbols.dedup();
     let phases = table.phases();
-    let stack =
-        StackedCrystals { phases, layers, end, dislocations, precipitates, particles, lines, least };
+    let stack = StackedCrystals {
+        phases,
+        layers,
+        end,
+        dislocations,
+        precipitates,
+        particles,
+        lines,
+        least,
+    };
     Ok((OrientedCrystals::Stack(Arc::new(stack)), symbols))
 }
 
@@ -100,8 +108,7 @@ fn check_point_defects_of_stacks(recipe: &Recipe, bounded: bool) -> Checked {
         return fault("vacancies.relaxation_angstrom", vacancies.relaxation_angstrom, expected);
     }
     if vacancies.clusters > 0 {
-        let expected =
-            "expected 0: vacancies of a stack gather at its interfaces, faults, edges and dislocations";
+        let expected = "expected 0: vacancies of a stack gather at its interfaces, faults, edges and dislocations";
         return fault("vacancies.clusters", vacancies.clusters, expected);
     }
     if vacancies.cluster_fraction > 0.0 && !bounded {

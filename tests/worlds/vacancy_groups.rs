@@ -111,9 +111,9 @@ fn rows_of_vacancies_have_their_length_and_both_ends() {
         let [from, to] = line.line_nm[..] else { panic!() };
         assert!((to[0] - from[0] - 4.0 * A_MOS2).abs() < 1e-6 && (to[1] - from[1]).abs() < 1e-6);
         let x = |s: &&&SpecimenSite| s.position_nm[0];
-        let [low, high] = missing_at.iter().fold([f64::INFINITY, 0.0], |[l, h], s| {
-            [f64::min(l, x(&s)), f64::max(h, x(&s))]
-        });
+        let [low, high] = missing_at
+            .iter()
+            .fold([f64::INFINITY, 0.0], |[l, h], s| [f64::min(l, x(&s)), f64::max(h, x(&s))]);
         assert!((low - from[0]).abs() < 1e-6 && (high - to[0]).abs() < 1e-6);
         // The middle column is the one nearest to the place.
         assert!((0.5 * (from[0] + to[0]) - 2.0).abs() < 0.16 && (from[1] - 2.0).abs() < 0.2);
@@ -139,7 +139,9 @@ fn random_rows_have_their_density_and_do_not_meet() {
 #[test]
 fn double_vacancies_have_their_rate() {
     let double = |element: &str, pair: &str, rate: f64| {
-        format!("[[stack.double_vacancies]]\nelement = \"{element}\"\npair = \"{pair}\"\nrate = {rate}\n")
+        format!(
+            "[[stack.double_vacancies]]\nelement = \"{element}\"\npair = \"{pair}\"\nrate = {rate}\n"
+        )
     };
     let recipe = layer(&double("S", "column", 0.05));
     let found = sites(&recipe);
@@ -256,20 +258,30 @@ fn wrong_tables_are_refused_with_the_choices() {
     refused(&edge("layer = 2\nplane = \"(010)\""), &["stack.edges[1].layer", "from 1 to 1"]);
     refused(&edge("side = 1"), &["plane"]);
     let row = |keys: &str| {
-        format!("[[stack.vacancy_lines]]\nelement = \"S\"\ndirection = \"[100]\"\nlength_nm = 1.0\n{keys}\n")
+        format!(
+            "[[stack.vacancy_lines]]\nelement = \"S\"\ndirection = \"[100]\"\nlength_nm = 1.0\n{keys}\n"
+        )
     };
     refused(&row(""), &["vacancy_lines[1].per_um2", "positions_nm"]);
     refused(&row("per_um2 = 10.0"), &["makes 0 lines in the field"]);
     refused(&row("per_um2 = 1e7"), &["finds no place", "lower per_um2 or length_nm"]);
     refused(&row("per_um2 = 1e5").replace("\"S\"", "\"O\""), &["Mo, S"]);
-    refused(&row("per_um2 = 1e5").replace("[100]", "[101]"), &["perpendicular to the beam", "zigzag"]);
+    refused(
+        &row("per_um2 = 1e5").replace("[100]", "[101]"),
+        &["perpendicular to the beam", "zigzag"],
+    );
     refused(&row("positions_nm = [[200.0, 2.0]]"), &["positions_nm"]);
     let beyond = edge("angle_deg = 0.0") + &row("positions_nm = [[4.0, 2.0]]");
     refused(&beyond, &["no row of S lies within 1 nm of (4, 2) nm"]);
     let double = |pair: &str, element: &str, rate: f64| {
-        format!("[[stack.double_vacancies]]\nelement = \"{element}\"\npair = \"{pair}\"\nrate = {rate}\n")
+        format!(
+            "[[stack.double_vacancies]]\nelement = \"{element}\"\npair = \"{pair}\"\nrate = {rate}\n"
+        )
     };
-    refused(&double("column", "Mo", 0.1), &["no two atoms of Mo lie behind each other", "neighbours"]);
+    refused(
+        &double("column", "Mo", 0.1),
+        &["no two atoms of Mo lie behind each other", "neighbours"],
+    );
     refused(&double("column", "S", 0.5), &["double_vacancies[1].rate", "0.4"]);
     refused(&double("row", "S", 0.1), &["column", "neighbours"]);
 }

@@ -263,11 +263,15 @@ fn no_pairs(n: usize, given: &DoubleVacancies, made: usize, all: usize) -> Error
     let (key, expected) = match (made, given.pair) {
         (0, VacancyPair::Column) => (
             "pair",
-            format!("no two atoms of {element} lie behind each other within 0.6 nm; expected pair = \"neighbours\""),
+            format!(
+                "no two atoms of {element} lie behind each other within 0.6 nm; expected pair = \"neighbours\""
+            ),
         ),
         (0, VacancyPair::Neighbours) => (
             "pair",
-            format!("no two atoms of {element} lie beside each other within 0.6 nm; expected pair = \"column\""),
+            format!(
+                "no two atoms of {element} lie beside each other within 0.6 nm; expected pair = \"column\""
+            ),
         ),
         _ => (
             "rate",
