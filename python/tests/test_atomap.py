@@ -20,7 +20,7 @@ def test_atomap_finds_the_columns_of_a_layer(tmp_path: Path, monkeypatch: pytest
     from atomap_columns import measured  # type: ignore[import-not-found]
 
     path = tmp_path / "mos2.h5"
-    sw.build("mos2", "easy", grid=(1, 1), out=path, keep_clean=True, audit=0).close()
+    sw.build("mos2", difficulty="easy", grid=(1, 1), out=path, keep_clean=True, audit=0).close()
     [counted, clean] = measured(str(path), 0.08)
     assert (counted["image"], clean["image"]) == ("counted", "noise-free")
     for row in (counted, clean):
