@@ -19,7 +19,7 @@ const PER_NM: f64 = 10.0;
 const NM2_PER_UM2: f64 = 1e6;
 /// Largest number of rows of a table.
 const MOST_ROWS: usize = 10_000;
-/// Largest number of columns of a row.
+/// Greatest length of a row in nm.
 const LONGEST_NM: f64 = 1000.0;
 /// Largest share of the sites of an element that are parts of double vacancies.
 const MOST_DOUBLE: f64 = 0.4;

@@ -23,7 +23,7 @@ const NEAREST_ANGSTROM: f64 = 10.0;
 const PAIR_ANGSTROM: f64 = 6.0;
 /// Pairs at up to this many times the shortest distance are neighbours.
 const AS_NEAR: f64 = 1.1;
-/// Numbers of places that are tried for one row.
+/// Number of places that are tried for one row.
 const TRIES: u64 = 1000;
 /// Streams of random numbers: rows use the first ones, double vacancies the others.
 const OF_PAIRS: u32 = 1024;
