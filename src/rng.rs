@@ -22,6 +22,8 @@ pub enum Purpose {
     Interface = 5,
     /// Centres of clusters of vacancies.
     Cluster = 6,
+    /// Rows and pairs of vacancies.
+    VacancyGroup = 7,
     /// Atoms of the random network of carbon.
     Carbon = 16,
     /// Places, sizes and orientations of nanoparticles.

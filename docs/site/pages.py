@@ -208,7 +208,7 @@ def run(page: Page, out: Path) -> str:
 def _execute(page: Page, book: Any) -> None:
     """Runs a notebook in an empty folder, in which only the crystals and recipes of the repository lie."""
     with tempfile.TemporaryDirectory() as folder:
-        for name in ("structures", "generate"):
+        for name in ("structures", "generate", "examples"):
             os.symlink(ROOT / name, Path(folder, name))
         # Without these two limits of their own, a kernel that starts late ends the build, and output that comes late is lost.
         limits = {"timeout": LONGEST_S, "startup_timeout": LONGEST_S, "iopub_timeout": LONGEST_S, "raise_on_iopub_timeout": True}

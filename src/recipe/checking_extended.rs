@@ -18,9 +18,9 @@ const PER_NM: f64 = 10.0;
 /// Largest distance of defects from the field in nm.
 const FARTHEST_NM: f64 = 10.0;
 /// Largest component of a unit normal or Burgers vector where it should be 0.
-const TILTED: f64 = 2e-3;
+pub const TILTED: f64 = 2e-3;
 /// Largest distance, in Angstrom, of an atom from its place after a shift that leaves the crystal as it was.
-const SAME_ANGSTROM: f64 = 0.1;
+pub const SAME_ANGSTROM: f64 = 0.1;
 /// Largest distance, divided by the length of the Burgers vector, of the atoms of other layers from their places after a shift by it.
 const NEAR_REPEAT: f64 = 0.12;
 
@@ -30,7 +30,7 @@ pub fn item_key(list: &str, index: usize, name: &str) -> String {
 }
 
 /// Returns the crystal of a layer that a defect names.
-fn crystal_of<'l>(
+pub fn crystal_of<'l>(
     key: &str,
     layer: usize,
     layers: &'l [StackedLayer],
@@ -230,16 +230,15 @@ fn dislocation(
         return fault(&key("burgers"), text, expected);
     }
     let burgers = [burgers[0], burgers[1]];
-    let position = between_planes(crystal, given.position_nm.map(|nm| PER_NM * nm), burgers);
+    let normal = [-burgers[1], burgers[0]].map(|v| v / burgers[0].hypot(burgers[1]));
+    let position = between_planes(crystal, given.position_nm.map(|nm| PER_NM * nm), normal);
     let cut_ahead = cut_side(table, layers, &key("burgers"), given, position, burgers)?;
     Ok(EdgeDislocation { position, burgers, poisson_ratio, cut_ahead })
 }
 
-/// Moves the line of a dislocation along the normal of its slip plane to the middle of a wide gap between two atomic planes: at least 0.8
-/// times the widest.
-fn between_planes(crystal: &FittedCrystal, at: [f64; 2], burgers: [f64; 2]) -> [f64; 2] {
-    let length = burgers[0].hypot(burgers[1]);
-    let normal = [-burgers[1] / length, burgers[0] / length];
+/// Moves a point along the normal of a plane that holds the beam to the middle of a wide gap between two atomic planes: at least 0.8 times
+/// the widest.
+pub fn between_planes(crystal: &FittedCrystal, at: [f64; 2], normal: [f64; 2]) -> [f64; 2] {
     let edges = crystal.edges();
     let reach = edges[0].hypot(edges[1]);
     let cells = |k: usize| {

@@ -9,6 +9,7 @@ use super::checking_defects::check_defects;
 use super::checking_extended::{check_dislocations, check_faults, check_precipitates};
 use super::checking_interfaces::{check_exchange, check_roughness};
 use super::checking_stack_particles::check_stack_particles;
+use super::checking_vacancy_groups::{check_double_vacancies, check_edges, check_lines};
 use super::fault::{Checked, crystal_fault, fault, needed, within};
 use super::limits::BEYOND_FIELD_NM;
 use super::oriented_crystals::{OrientedCrystals, oriented_box};
@@ -69,19 +70,33 @@ pub fn check_stack(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> 
     check_roughness(table, &recipe.field)?;
     check_exchange(table, &layers)?;
     check_faults(table, &mut layers, &recipe.field)?;
+    check_edges(table, &mut layers, &recipe.field)?;
     let dislocations = check_dislocations(table, &layers, &recipe.field)?;
+    let lines = check_lines(table, &layers, &recipe.field)?;
+    check_double_vacancies(table, &layers)?;
     let precipitates = check_precipitates(table, &recipe.field)?;
     let particles = check_stack_particles(table, &recipe.field)?;
     check_atoms(&layers, end, table, &recipe.field)?;
     let (least, mut symbols) = distances_and_elements(&layers, &precipitates, &particles);
-    let bounded = layers.len() > 1 || !table.faults.is_empty() || !table.dislocations.is_empty();
+    let bounded = layers.len() > 1
+        || !table.faults.is_empty()
+        || !table.dislocations.is_empty()
+        || !table.edges.is_empty();
     check_point_defects_of_stacks(recipe, bounded)?;
     check_defects(recipe, &mut symbols)?;
     symbols.sort();
     symbols.dedup();
     let phases = table.phases();
-    let stack =
-        StackedCrystals { phases, layers, end, dislocations, precipitates, particles, least };
+    let stack = StackedCrystals {
+        phases,
+        layers,
+        end,
+        dislocations,
+        precipitates,
+        particles,
+        lines,
+        least,
+    };
     Ok((OrientedCrystals::Stack(Arc::new(stack)), symbols))
 }
 
@@ -93,12 +108,11 @@ fn check_point_defects_of_stacks(recipe: &Recipe, bounded: bool) -> Checked {
         return fault("vacancies.relaxation_angstrom", vacancies.relaxation_angstrom, expected);
     }
     if vacancies.clusters > 0 {
-        let expected =
-            "expected 0: vacancies of a stack gather at its interfaces, faults and dislocations";
+        let expected = "expected 0: vacancies of a stack gather at its interfaces, faults, edges and dislocations";
         return fault("vacancies.clusters", vacancies.clusters, expected);
     }
     if vacancies.cluster_fraction > 0.0 && !bounded {
-        let expected = "expected 0: this stack has no interface, fault or dislocation at which vacancies gather";
+        let expected = "expected 0: this stack has no interface, fault, edge or dislocation at which vacancies gather";
         return fault("vacancies.cluster_fraction", vacancies.cluster_fraction, expected);
     }
     Ok(())
@@ -150,6 +164,9 @@ fn check_numbers(table: &StackTable) -> Checked {
         ("stack.dislocations", table.dislocations.len(), 0),
         ("stack.precipitates", table.precipitates.len(), 0),
         ("stack.particles", table.particles.len(), 0),
+        ("stack.edges", table.edges.len(), 0),
+        ("stack.vacancy_lines", table.vacancy_lines.len(), 0),
+        ("stack.double_vacancies", table.double_vacancies.len(), 0),
     ];
     for (key, count, least) in lists {
         if !(least..=MOST_PARTS).contains(&count) {
@@ -438,6 +455,7 @@ fn laid(
             turn: turned(layer, field),
             faults: Vec::new(),
             fault_kinds: Vec::new(),
+            edges: Vec::new(),
         });
     }
     Ok(layers)

@@ -15,6 +15,7 @@ mod checking_interfaces;
 mod checking_particles;
 mod checking_stack;
 mod checking_stack_particles;
+mod checking_vacancy_groups;
 mod crystal_source;
 mod detector_tables;
 mod difficulty;
@@ -33,6 +34,7 @@ pub(crate) mod stacked_crystals;
 mod surface_table;
 pub(crate) mod tables;
 mod toml_errors;
+pub(crate) mod vacancy_groups_table;
 
 pub use atoms_table::{AtomsTable, is_atoms_file};
 pub use checked::CheckedRecipe;
@@ -52,3 +54,6 @@ pub use stack_table::{
 };
 pub use surface_table::SurfaceTable;
 pub use tables::*;
+pub use vacancy_groups_table::{
+    DoubleVacancies, MissingAtoms, StackEdge, VacancyLines, VacancyPair,
+};

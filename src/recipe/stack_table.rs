@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::crystal_source::CrystalSource;
+use super::vacancy_groups_table::{DoubleVacancies, StackEdge, VacancyLines};
 use crate::models::particles::Morphology;
 
 /// Largest number of layers, and of faults, dislocations and precipitates each.
@@ -69,6 +70,15 @@ pub struct StackTable {
     /// Particles on the layers of a stack along z.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub particles: Vec<StackParticles>,
+    /// Straight edges at which a layer ends.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub edges: Vec<StackEdge>,
+    /// Rows of vacancies.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub vacancy_lines: Vec<VacancyLines>,
+    /// Pairs of vacancies.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub double_vacancies: Vec<DoubleVacancies>,
 }
 
 fn default_max_strain() -> f64 {

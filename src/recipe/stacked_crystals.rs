@@ -10,7 +10,7 @@ use crate::models::stack::edge_dislocation::EdgeDislocation;
 use crate::models::stack::fault_planes::FaultPlane;
 use crate::models::stack::least_distances::LeastDistances;
 use crate::models::stack::random_packing::Packing;
-use crate::structure::lattice::{Mat3, Vec3, inverse, norm, plane_normal, subtract};
+use crate::structure::lattice::{Mat3, Vec3, dot, inverse, norm, plane_normal, subtract};
 use crate::structure::{OrientedBox, Structure};
 
 /// An oriented crystal, strained and in its place.
@@ -105,6 +105,39 @@ pub(crate) struct StackedLayer {
     pub faults: Vec<FaultPlane>,
     /// The kinds of these faults.
     pub fault_kinds: Vec<FaultKind>,
+    /// Its edges.
+    pub edges: Vec<LayerEdge>,
+}
+
+/// The edge of a layer: atoms at r with r . `normal` > `distance` are absent.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct LayerEdge {
+    /// Unit vector (x, y, 0) into the vacuum.
+    pub normal: Vec3,
+    /// Distance from the origin.
+    pub distance: f64,
+}
+
+impl LayerEdge {
+    /// Whether a point lies beyond the edge.
+    pub(crate) fn cuts(&self, at: Vec3) -> bool {
+        dot(at, self.normal) > self.distance
+    }
+}
+
+/// Rows of vacancies of a layer.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct CheckedLines {
+    /// Index of the layer.
+    pub layer: usize,
+    /// Atomic number of the missing element.
+    pub element: u8,
+    /// From one column of a row to the next.
+    pub step: [f64; 2],
+    /// Number of columns of each row.
+    pub columns: usize,
+    /// Number of rows in the field, if their places are random.
+    pub count: usize,
 }
 
 /// A precipitate in its place.
@@ -173,6 +206,8 @@ pub(crate) struct StackedCrystals {
     pub precipitates: Vec<PlacedPrecipitate>,
     /// The particles, as the recipe lists them.
     pub particles: Vec<CheckedParticles>,
+    /// The rows of vacancies, as the recipe lists them.
+    pub lines: Vec<CheckedLines>,
     /// Least distances of atoms.
     pub least: LeastDistances,
 }
@@ -181,7 +216,7 @@ pub(crate) struct StackedCrystals {
 mod tests {
     use super::*;
     use crate::structure::crystals;
-    use crate::structure::lattice::{dot, row_times};
+    use crate::structure::lattice::row_times;
 
     #[test]
     fn directions_and_planes_keep_their_places_in_the_box() {

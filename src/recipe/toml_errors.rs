@@ -5,6 +5,7 @@ use super::detector_tables::{DetectorTable, NamedDetectorTable};
 use super::optics_table::OpticsTable;
 use super::stack_table::{Precipitate, StackDislocation, StackFault, StackLayer, StackTable};
 use super::tables::*;
+use super::vacancy_groups_table::{DoubleVacancies, StackEdge, VacancyLines};
 
 /// Returns the candidate most similar to `key`, if any is similar.
 pub fn nearest<'k>(key: &str, known: impl Iterator<Item = &'k str>) -> Option<&'k str> {
@@ -77,6 +78,9 @@ fn keys_of(name: &str) -> Vec<String> {
         "StackFault" => known::<StackFault>(),
         "StackDislocation" => known::<StackDislocation>(),
         "Precipitate" => known::<Precipitate>(),
+        "StackEdge" => known::<StackEdge>(),
+        "VacancyLines" => known::<VacancyLines>(),
+        "DoubleVacancies" => known::<DoubleVacancies>(),
         "Vacancies" => known::<Vacancies>(),
         "Substitutions" => known::<Substitutions>(),
         "PhononTable" => known::<PhononTable>(),

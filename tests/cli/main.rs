@@ -11,6 +11,7 @@ mod detectability;
 mod dm_bytes;
 mod docs;
 mod errors;
+mod every_specimen;
 mod help;
 mod import;
 mod info;

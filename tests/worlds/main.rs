@@ -41,3 +41,4 @@ mod stack_defects;
 mod stack_particles;
 mod tiles;
 mod truth;
+mod vacancy_groups;

@@ -30,7 +30,12 @@ pub struct MadeSite {
     pub kind: SiteKind,
     /// Index of the phase.
     pub phase: u16,
+    /// Index of the layer; [`NO_LAYER`] for sites of precipitates and particles.
+    pub layer: u16,
 }
+
+/// The layer of sites that belong to none.
+pub const NO_LAYER: u16 = u16::MAX;
 
 /// A site of a crystal: its place, and numbers that identify it.
 struct CrystalSite {
@@ -63,6 +68,7 @@ pub fn filled(
             number: site.number,
             kind: SiteKind::Pristine,
             phase: precipitate.phase as u16,
+            layer: NO_LAYER,
         };
         sites.extend(
             crystal_sites(&precipitate.crystal, &Isometry::IDENTITY, bounds, inside).map(made),
@@ -86,7 +92,9 @@ fn fill_layer(
     let phase = layer.phase as u16;
     let bounds = interfaces.bounds(n, &extent);
     let free = |at: Vec3| {
-        interfaces.holds(n, at) && !table.precipitates.iter().any(|shape| holds(shape, at))
+        interfaces.holds(n, at)
+            && !layer.edges.iter().any(|edge| edge.cuts(at))
+            && !table.precipitates.iter().any(|shape| holds(shape, at))
     };
     match &layer.matter {
         StackedMatter::Crystal(crystal) => {
@@ -110,8 +118,10 @@ fn fill_layer(
                 );
                 Error::invalid(Setting::Recipe, value, expected)
             })?;
-            let made =
-                |(position, number)| MadeSite { position, number, kind: SiteKind::Pristine, phase };
+            let made = |(position, number)| {
+                let (kind, layer) = (SiteKind::Pristine, n as u16);
+                MadeSite { position, number, kind, phase, layer }
+            };
             sites.extend(atoms.into_iter().filter(|(at, _)| free(*at)).map(made));
         }
     }
@@ -204,7 +214,8 @@ impl Exchange {
         phase: u16,
     ) -> MadeSite {
         let position = site.position;
-        let mut made = MadeSite { position, number: site.number, kind: SiteKind::Pristine, phase };
+        let (number, kind, layer) = (site.number, SiteKind::Pristine, self.layer as u16);
+        let mut made = MadeSite { position, number, kind, phase, layer };
         for (side, exchanged) in self.sides.iter().enumerate() {
             let Some((width, pairs)) = exchanged else { continue };
             let Some([_, other]) = pairs.iter().find(|[own, _]| *own == site.number) else {

@@ -1,6 +1,6 @@
 //! Specimens made of several crystals: their sites, interfaces, faults and dislocations.
 //!
-//! The layers are filled in undisturbed places, then the dislocations displace all atoms, particles are laid on them, atoms that overlap are
+//! The layers are filled in undisturbed places, rows and pairs of vacancies are drawn there, then the dislocations displace all atoms, particles are laid on them, atoms that overlap are
 //! left out, and at last sites become vacant or hold other elements. The sites are held in memory like the atoms of a file.
 
 mod filling;
@@ -8,11 +8,13 @@ mod interfaces;
 mod particles_on_layers;
 mod point_defects;
 mod truth_lines;
+mod vacancy_groups;
 
 use filling::{MadeSite, filled};
 use interfaces::Interfaces;
 use particles_on_layers::{LaidParticle, laid_particles};
 use point_defects::PointDefects;
+use vacancy_groups::{mark_double_vacancies, mark_lines};
 
 use super::own_atoms::{OwnAtoms, PlacedSite};
 use super::sites::{DISPLACED_NM, SpecimenSite};
@@ -48,6 +50,8 @@ pub fn stack(recipe: &CheckedRecipe) -> Result<OwnAtoms> {
     let mut wide = extent;
     wide[..2].iter_mut().for_each(|ends| *ends = [ends[0] - reach, ends[1] + reach]);
     let mut sites = filled(recipe, table, crystals, &interfaces, wide)?;
+    let rows = mark_lines(recipe, table, crystals, &mut sites)?;
+    mark_double_vacancies(recipe, table, &mut sites)?;
     displace(&mut sites, &crystals.dislocations);
     sites.retain(|site| {
         (0..2).all(|k| extent[k][0] <= site.position[k] && site.position[k] < extent[k][1])
@@ -65,7 +69,8 @@ pub fn stack(recipe: &CheckedRecipe) -> Result<OwnAtoms> {
             (SpecimenSite { key: 0, position_nm, number: site.number, kind: site.kind }, site.phase)
         })
         .collect();
-    let boundaries = truth_lines::boundaries(table, crystals, &interfaces, extent);
+    let mut boundaries = truth_lines::boundaries(table, crystals, &interfaces, extent);
+    boundaries.extend(rows.iter().map(|row| truth_lines::row(row, crystals)));
     let held = particles.iter().map(LaidParticle::held).collect();
     let defects = PointDefects::fit(recipe, crystals, &interfaces, &placed)?;
     let facts = facts(recipe, table, crystals);

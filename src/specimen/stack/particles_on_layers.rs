@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::filling::MadeSite;
+use super::filling::{MadeSite, NO_LAYER};
 use crate::error::{Error, Result};
 use crate::models::particles::crystal_particle::{ParticleBody, crystal_particle, volume_per_atom};
 use crate::models::particles::rotation::Rotation;
@@ -283,6 +283,7 @@ impl LaidParticle {
             number: *number,
             kind: SiteKind::Pristine,
             phase: self.phase as u16,
+            layer: NO_LAYER,
         })
     }
 

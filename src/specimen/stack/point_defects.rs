@@ -1,4 +1,4 @@
-//! Vacancies and substitutions of a stack: random, or gathered at its interfaces, faults and dislocations.
+//! Vacancies and substitutions of a stack: random, or gathered at its interfaces, faults, edges and dislocations.
 
 use rayon::prelude::*;
 
@@ -59,7 +59,7 @@ impl<'s> PointDefects<'s> {
         self.rules.at(self.distance_nm(site)).of(site.key, site.number)
     }
 
-    /// Returns the distance in nm from the nearest interface, planar fault or dislocation, as if each went on for ever; infinite where
+    /// Returns the distance in nm from the nearest interface, planar fault, edge or dislocation, as if each went on for ever; infinite where
     /// vacancies do not gather.
     fn distance_nm(&self, site: &SpecimenSite) -> f64 {
         if !self.gathered {
@@ -73,11 +73,16 @@ impl<'s> PointDefects<'s> {
             .iter()
             .flat_map(|layer| &layer.faults)
             .map(|plane| (dot(at, plane.normal) - plane.distance).abs());
+        let of_edges = layers
+            .iter()
+            .flat_map(|layer| &layer.edges)
+            .map(|edge| (dot(at, edge.normal) - edge.distance).abs());
         let of_lines = self
             .crystals
             .dislocations
             .iter()
             .map(|line| (at[0] - line.position[0]).hypot(at[1] - line.position[1]));
-        NM * of_interfaces.chain(of_faults).chain(of_lines).fold(f64::INFINITY, f64::min)
+        let of_planes = of_interfaces.chain(of_faults).chain(of_edges);
+        NM * of_planes.chain(of_lines).fold(f64::INFINITY, f64::min)
     }
 }

@@ -1,17 +1,18 @@
-//! Lines of the ground truth of a stack: interfaces and planar faults.
+//! Lines of the ground truth of a stack: interfaces, planar faults, edges and rows of vacancies.
 
 use super::displaced;
 use super::interfaces::{Extent, Interfaces};
-use crate::models::stack::fault_planes::{FaultAction, FaultPlane};
+use crate::models::stack::fault_planes::FaultAction;
 use crate::recipe::StackTable;
 use crate::recipe::stacked_crystals::StackedCrystals;
 use crate::specimen::specimen_trait::{Boundary, BoundaryKind};
+use crate::structure::lattice::Vec3;
 
 const NM: f64 = 0.1;
 /// Greatest length of a part of a line that dislocations bend, in Angstrom.
 const STEP: f64 = 5.0;
 
-/// Returns the interfaces that are seen edge on, and the faults.
+/// Returns the interfaces that are seen edge on, the faults and the edges.
 pub fn boundaries(
     table: &StackTable,
     crystals: &StackedCrystals,
@@ -45,7 +46,7 @@ pub fn boundaries(
             bounds[axis] = [low.max(interfaces.flat(n)), high.min(interfaces.flat(n + 1))];
         }
         for (plane, kind) in layer.faults.iter().zip(&layer.fault_kinds) {
-            let Some(line) = line_of(plane, bounds) else { continue };
+            let Some(line) = line_of((plane.normal, plane.distance), bounds) else { continue };
             let shift = match plane.action {
                 FaultAction::Mirror => [0.0; 3],
                 FaultAction::Shift(by) => by.map(|v| NM * v),
@@ -54,8 +55,23 @@ pub fn boundaries(
             let kind = BoundaryKind::Fault { kind: kind.name(), normal, shift_nm: shift };
             lines.push(Boundary { line_nm: in_nm(&line, crystals), kind });
         }
+        for edge in &layer.edges {
+            let Some(line) = line_of((edge.normal, edge.distance), bounds) else { continue };
+            let normal = [edge.normal[0], edge.normal[1]];
+            let kind = BoundaryKind::Fault { kind: "edge", normal, shift_nm: [0.0; 3] };
+            lines.push(Boundary { line_nm: in_nm(&line, crystals), kind });
+        }
     }
     lines
+}
+
+/// Returns the line of a row of vacancies from its first to its last column.
+pub fn row(ends: &[[f64; 2]; 2], crystals: &StackedCrystals) -> Boundary {
+    let [a, b] = *ends;
+    let length = (b[0] - a[0]).hypot(b[1] - a[1]);
+    let normal = [(a[1] - b[1]) / length, (b[0] - a[0]) / length];
+    let kind = BoundaryKind::Fault { kind: "vacancy_line", normal, shift_nm: [0.0; 3] };
+    Boundary { line_nm: in_nm(ends, crystals), kind }
 }
 
 /// Returns a line in nm, bent by the dislocations.
@@ -79,10 +95,10 @@ fn in_nm(line: &[[f64; 2]], crystals: &StackedCrystals) -> Vec<[f64; 2]> {
 }
 
 /// Returns the line in which a plane that holds the beam cuts a rectangle.
-fn line_of(plane: &FaultPlane, bounds: [[f64; 2]; 2]) -> Option<[[f64; 2]; 2]> {
-    let normal = [plane.normal[0], plane.normal[1]];
+fn line_of((normal, distance): (Vec3, f64), bounds: [[f64; 2]; 2]) -> Option<[[f64; 2]; 2]> {
+    let normal = [normal[0], normal[1]];
     let square = normal[0] * normal[0] + normal[1] * normal[1];
-    let foot = normal.map(|n| n * plane.distance / square);
+    let foot = normal.map(|n| n * distance / square);
     let along = [-normal[1], normal[0]];
     let mut ends = [f64::NEG_INFINITY, f64::INFINITY];
     for k in 0..2 {
