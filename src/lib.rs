@@ -99,6 +99,7 @@
 //! - `error`: errors with the fault and the remedy
 //! - [`rng`]: random numbers that depend on names, not on the order of drawing
 //! - `made_once`: values that are made at their first request and kept
+//! - `plane`: arithmetic of pairs along two axes
 //! - `simd`: vector instructions of the machine
 //! - `matrix`: products of complex matrices
 //! - [`progress`]: reports of long computations, and their interruption
@@ -161,6 +162,7 @@ mod matrix;
 pub mod models;
 pub mod numerics;
 pub mod optics;
+mod plane;
 pub mod potential;
 pub mod progress;
 #[cfg(feature = "report")]

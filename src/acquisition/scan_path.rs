@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::acquisition_settings::Acquisition;
+use crate::plane;
 use crate::rng::{Purpose, normal3, uniform};
 
 /// The intended pixels of a scan.
@@ -111,7 +112,7 @@ impl ScanPath {
     pub(crate) fn drift_nm(&self, frame: usize, row: usize) -> [f64; 2] {
         let t = self.line_start_s(frame, row);
         let walk = self.walk_nm[frame * self.frame.shape[0] + row];
-        [0, 1].map(|k| self.settings.drift_nm_per_s[k] * t + walk[k])
+        plane::add(self.settings.drift_nm_per_s.map(|v| v * t), walk)
     }
 
     /// Place (x, y) in nm of the beam on the specimen while a pixel is recorded.
@@ -122,7 +123,7 @@ impl ScanPath {
         let fast = self.fast_nm(frame, row, column);
         let meant = [column, row].map(|p| p * self.frame.pixel_nm);
         let own = [overshoot, 0.0];
-        [0, 1].map(|k| self.frame.origin_nm[k] + meant[k] + slow[k] + fast[k] + own[k])
+        [meant, slow, fast, own].into_iter().fold(self.frame.origin_nm, plane::add)
     }
 
     /// Displacement by scale, shear and drift. Rows beyond the frame have the random walk of its edge.
@@ -148,7 +149,7 @@ impl ScanPath {
             return jitter;
         }
         let wave = libm::sin(TAU * hum_hz * self.time_s(frame, row, column) + self.hum_phase);
-        [0, 1].map(|k| jitter[k] + 0.1 * hum_angstrom[k] * wave)
+        plane::add(jitter, hum_angstrom.map(|hum| 0.1 * hum * wave))
     }
 
     fn line(&self, frame: usize, row: f64) -> usize {
@@ -191,11 +192,11 @@ impl ScanPath {
     /// centre of mass of a Gaussian of 0.4 A (at least one pixel) about the column. Columns beyond the edges have a place too.
     pub(crate) fn appearance_px(&self, frame: usize, position_nm: [f64; 2]) -> [f64; 2] {
         let ScanFrame { shape, pixel_nm, origin_nm } = self.frame;
-        let meant = [0, 1].map(|k| (position_nm[k] - origin_nm[k]) / pixel_nm);
+        let meant = plane::sub(position_nm, origin_nm).map(|d| d / pixel_nm);
         let mut at = meant;
         for _ in 0..8 {
             let slow = self.slow_nm(frame, at[1], at[0]);
-            at = [0, 1].map(|k| meant[k] - slow[k] / pixel_nm);
+            at = plane::sub(meant, slow.map(|nm| nm / pixel_nm));
         }
         let sigma = (0.1 * COLUMN_SIGMA_ANGSTROM / pixel_nm).max(1.0);
         let Acquisition { line_jitter_angstrom, hum_angstrom, .. } = self.settings;

@@ -16,6 +16,7 @@ use crate::imaging::Noise;
 use crate::imaging::{
     MethodChoice, PixelRect, RegionImager, SharedCells, TurnedRaster, overview_image, turned_image,
 };
+use crate::plane;
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::{CheckedRecipe, OVERVIEW_FACTOR, Recipe, Region, StructureKind};
 use crate::rng::{Purpose, words};
@@ -264,7 +265,7 @@ impl RecipeWorld {
         let image = if view.zoom == 1.0 {
             let first = field.crop_origin_px();
             let mut pixels = view.pixels();
-            pixels.first = [0, 1].map(|k| pixels.first[k] + first[k]);
+            pixels.first = plane::add(pixels.first, first);
             self.imager.mean_of(&pixels, self.configurations(), progress)?
         } else {
             let raster = view.raster(field.pixel_nm(), field.origin_nm());
@@ -291,8 +292,8 @@ impl RecipeWorld {
         }
         let pixel = self.facts.pixel_nm;
         let of_block = self.overview_blocks().pixels(at);
-        let first = [0, 1].map(|k| of_block[k].start);
-        let size = [0, 1].map(|k| of_block[k].len());
+        let first = of_block.each_ref().map(|range| range.start);
+        let size = of_block.each_ref().map(ExactSizeIterator::len);
         let edge_nm = OVERVIEW_FACTOR as f64 * pixel;
         // The raster's spacing is chosen so that frequencies that alias to zero are above this share of the band limit.
         let highest = HIGHEST_SHARE * band_limit(&self.recipe);
@@ -368,17 +369,17 @@ impl BenchmarkWorld for RecipeWorld {
         let shape = self.overview_shape();
         let first = window(position, shape, size);
         let mut out = Array2::zeros([size; 2]);
-        let end = |k: usize| (first[k] + size).min(shape[k]);
+        let end = plane::min(first.map(|n| n + size), shape);
         let blocks = self.overview_blocks();
-        let places = blocks.covering([0, 1].map(|k| first[k]..end(k)));
+        let places = blocks.covering(plane::per_axis(first, end, |first, end| first..end));
         let quiet = InterruptOnly(progress);
         let made: Vec<Arc<Array2<f32>>> =
             places.par_iter().map(|at| self.block(*at, &quiet)).collect::<Result<_>>()?;
         for (place, block) in places.into_iter().zip(made) {
             let of_block = blocks.pixels(place);
-            let start = [0, 1].map(|k| of_block[k].start);
-            let low = [0, 1].map(|k| start[k].max(first[k]));
-            let high = [0, 1].map(|k| of_block[k].end.min(end(k)));
+            let start = of_block.each_ref().map(|range| range.start);
+            let low = plane::max(start, first);
+            let high = plane::min(of_block.map(|range| range.end), end);
             let part = |from: [usize; 2]| {
                 s![low[0] - from[0]..high[0] - from[0], low[1] - from[1]..high[1] - from[1]]
             };
@@ -441,7 +442,7 @@ pub(super) fn truth_of(
 /// Returns the particles that reach into the region.
 fn particles_of(specimen: &dyn Specimen, region: &Region, origin: [f64; 2]) -> Vec<FoundParticle> {
     let particle = |p: &ParticleOutline| FoundParticle {
-        position_nm: [0, 1].map(|k| p.centre_nm[k] - origin[k]),
+        position_nm: plane::sub(p.centre_nm, origin),
         diameter_nm: p.diameter_nm,
         morphology: p.morphology.clone(),
     };

@@ -292,7 +292,7 @@ impl DetectabilityJob {
             let images = DetectorImages {
                 without: pristine.images[n].clone(),
                 with: with.iter().map(|images| images[n].clone()).collect(),
-                moved: [0, 1].map(|k: usize| pristine.moved[k][n].clone()),
+                moved: pristine.moved.each_ref().map(|moved| moved[n].clone()),
                 moved_angstrom: MOVED_ANGSTROM,
             };
             Evaluation::new(&self.request, &images, area).result(detector)

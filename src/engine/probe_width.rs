@@ -1,6 +1,7 @@
 //! The width of the probe inside the specimen, compared with the width of windows, crops and cells.
 
 use super::settings::{Algorithm, Settings};
+use crate::plane;
 
 /// Width in Angstrom of a window whose error is 0.8 % in focus, at the wavelength and semiangle of the measurements.
 const USUAL_WINDOW_ANGSTROM: f64 = 7.8;
@@ -93,7 +94,7 @@ pub(super) fn narrow_crop(
     let (crop, what) = match settings.algorithm {
         Algorithm::Window { .. } => (wave, "each window"),
         Algorithm::Prism { interpolation } if interpolation != [1, 1] => {
-            ([0, 1].map(|k| cell[k] / interpolation[k] as f64), "PRISM's crop of each probe")
+            (plane::div(cell, interpolation.map(|n| n as f64)), "PRISM's crop of each probe")
         }
         _ => return None,
     };

@@ -14,6 +14,7 @@ use super::simulator::Simulator;
 use super::turned_raster::{TurnedRaster, between_probes};
 use crate::engine::PlannedScan;
 use crate::error::Result;
+use crate::plane;
 use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::image_band_limit;
@@ -116,7 +117,7 @@ pub(crate) fn rectangle_plan(
         // Specimens with empty corners have atoms in the middle.
         let built = field.pixels(field.built_grid());
         let half = [built[0].saturating_sub(rows) / 2, built[1].saturating_sub(columns) / 2];
-        somewhere = Region::of_pixels([0, 1].map(|k| first[k] + half[k]), [rows, columns], pixel);
+        somewhere = Region::of_pixels(plane::add(first, half), [rows, columns], pixel);
         z = heights(&somewhere);
     }
     let mut thickness = 10.0 * specimen.facts().thickness_nm;

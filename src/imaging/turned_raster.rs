@@ -7,6 +7,7 @@ use super::region_imager::{DetectorChoice, RasterDetail, RegionImager};
 use crate::engine::Scan;
 use crate::error::{Error, Result};
 use crate::optics::Optics;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{HALF_WIDTH, Kernel, TAPS, image_band_limit};
@@ -221,7 +222,7 @@ impl ScannedSamples {
     pub(super) fn at(&self, places: &[[f64; 2]], kernel: &Kernel) -> Vec<f64> {
         let (rows, columns) = self.values.dim();
         let value = |place: &[f64; 2]| {
-            let [x, y] = [0, 1].map(|k| (place[k] - self.first[k]) / self.step);
+            let [x, y] = plane::sub(*place, self.first).map(|d| d / self.step);
             let (across, down) =
                 (kernel.weights_within(x, columns), kernel.weights_within(y, rows));
             let (row, column) = (down.first as usize, across.first as usize);

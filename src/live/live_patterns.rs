@@ -10,6 +10,7 @@ use super::live_world::{LiveRequest, LiveWorld};
 use crate::acquisition::{Acquisition, Exposure, Profile, ScanFrame, ScanPath};
 use crate::error::{Error, Result};
 use crate::imaging::displaced_atoms::mean_atoms;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::Region;
 use crate::setting::Setting;
@@ -159,9 +160,9 @@ impl LiveWorld {
         }
         request.microscope = microscope;
         let first = [area.x[0], area.y[0]];
-        let start = [0, 1].map(|k| 10.0 * (frame.origin_nm[k] - first[k]) + 0.5 * GAP_ANGSTROM);
+        let start = plane::sub(frame.origin_nm, first).map(|nm| 10.0 * nm + 0.5 * GAP_ANGSTROM);
         let points = [frame.shape[1], frame.shape[0]];
-        let end = [0, 1].map(|k| start[k] + 10.0 * frame.pixel_nm * points[k] as f64);
+        let end = plane::add(start, points.map(|n| 10.0 * frame.pixel_nm * n as f64));
         request.scan = ScanRequest {
             start: Some(start),
             end: Some(end),

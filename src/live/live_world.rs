@@ -388,8 +388,7 @@ impl LiveWorld {
         if self.specimen.is_lasting() {
             return Ok(());
         }
-        let edges = [0, 1].map(|k| [-0.5, 0.5].map(|h| part.centre_nm[k] + h * part.size_nm[k]));
-        let mean = self.mean_dose(&Region { x: edges[0], y: edges[1] }) + dose;
+        let mean = self.mean_dose(&Region::centred(part.centre_nm, part.size_nm)) + dose;
         let greatest = self.specimen.dose().greatest_with(spent);
         if mean <= self.most_dose * (1.0 + ROUNDING) && greatest <= UNEVEN * self.most_dose {
             return Ok(());

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::models::particles::Morphology;
+use crate::plane;
 use crate::recipe::crystal_source::CrystalSource;
 use crate::recipe::region::Region;
 use crate::structure::elements;
@@ -301,6 +302,6 @@ impl Field {
     /// Returns row and column, in pixels of the full field, of the first pixel that is built.
     pub fn crop_origin_px(&self) -> [usize; 2] {
         let built = self.built_grid();
-        [0, 1].map(|i| (self.grid[i] - built[i]) / 2 * self.stride_px())
+        plane::sub(self.grid, built).map(|n| n / 2 * self.stride_px())
     }
 }

@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::plane;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
 use crate::recipe::tables::Field;
@@ -68,9 +69,9 @@ impl<S: Stretch> Coherent<S> {
     ) -> [f64; 2] {
         let mut sum = [0.0; 2];
         for member in members {
-            let cell = [0, 1].map(|k| first.cell[k] + member.cell[k]);
+            let cell = plane::add(first.cell, member.cell);
             let at = place(ColumnIndex { kind: member.kind, cell, ..first });
-            sum = [0, 1].map(|k| sum[k] + at[k] / members.len() as f64);
+            sum = plane::add(sum, at.map(|v| v / members.len() as f64));
         }
         sum
     }

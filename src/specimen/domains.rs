@@ -8,6 +8,7 @@ use std::cell::LazyCell;
 use std::collections::{BTreeSet, HashMap};
 
 use crate::error::{Error, Result};
+use crate::plane;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
@@ -146,7 +147,7 @@ impl Domains {
         let ideal = [self.lattice.stretch.to_field(reference[0], row), reference[1]];
         let order = order(row, ideal[0]);
         let shift = self.column_shifts[index.kind];
-        ([0, 1].map(|k| ideal[k] + order * shift[k]), (ideal, order))
+        (plane::add(ideal, [shift[0], shift[1]].map(|s| order * s)), (ideal, order))
     }
 
     /// Returns the place in the library of a unit of a kind, by its first column.

@@ -7,6 +7,7 @@ use std::collections::HashMap;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
+use crate::plane;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::region::Region;
 use crate::recipe::tables::{Alloy, CompositionProfile, Wells};
@@ -250,7 +251,7 @@ impl Epitaxy {
         mut f: impl FnMut(usize, f64, u64),
     ) {
         for member in &contents.units.kinds[kind] {
-            let cell = [0, 1].map(|k| first.cell[k] + member.cell[k]);
+            let cell = plane::add(first.cell, member.cell);
             let index = ColumnIndex { kind: member.kind, cell, ..first };
             let [x, y] = position(index);
             let along_beam = self.composition.along_beam([x, y]);

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::beam_rows::beam_rows;
 use super::column_grid::ColumnGrid;
 use crate::error::{Error, Result};
+use crate::plane;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::atoms_table::AtomsTable;
 use crate::recipe::limits::BEYOND_FIELD_NM;
@@ -134,10 +135,12 @@ impl OwnAtoms {
         let count = rows.iter().max().map_or(0, |last| *last as usize + 1);
         let (members, starts) = by_row(&rows, count);
         let of_row = |row: usize| &members[starts[row] as usize..starts[row + 1] as usize];
+        let xy = |n: u32| {
+            let [x, y, _] = places[n as usize];
+            [x, y]
+        };
         let mean = |row: usize| {
-            let sum = of_row(row)
-                .iter()
-                .fold([0.0; 2], |sum, n| [0, 1].map(|k| sum[k] + places[*n as usize][k]));
+            let sum = of_row(row).iter().fold([0.0; 2], |sum, n| plane::add(sum, xy(*n)));
             sum.map(|s| s / of_row(row).len() as f64)
         };
         let means: Vec<[f64; 2]> = (0..count).into_par_iter().map(mean).collect();

@@ -1,5 +1,6 @@
 //! Random places of circles in the field.
 
+use crate::plane;
 use crate::recipe::region::Region;
 use crate::rng::{Purpose, open_unit, words};
 
@@ -22,7 +23,7 @@ impl Circle {
     /// Whether two circles are at least `gap` Angstrom apart.
     pub fn is_clear_of(&self, other: &Circle, gap: f64) -> bool {
         let room = self.radius + other.radius + gap;
-        let d = [0, 1].map(|k| self.centre[k] - other.centre[k]);
+        let d = plane::sub(self.centre, other.centre);
         d[0] * d[0] + d[1] * d[1] > room * room
     }
 }

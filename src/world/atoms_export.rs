@@ -10,6 +10,7 @@ use crate::files::atomic_write;
 use crate::files::{OutputLock, disk_space};
 use crate::io::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, atom_type, writable};
 use crate::models::carbon::network::CARBON;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::region::Region;
 use crate::recipe::resolved_recipe::Recipe;
@@ -263,7 +264,7 @@ fn header(recipe: &Recipe, frame: &Frame) -> AtomsHeader {
     let pixel = field.pixel_nm();
     let first = field.crop_origin_px();
     let origin = [first[1], first[0]].map(|p| p as f64 * pixel);
-    let [x, y] = [0, 1].map(|k| 10.0 * (origin[k] - frame.corner_nm[k]));
+    let [x, y] = plane::sub(origin, frame.corner_nm).map(|nm| 10.0 * nm);
     let mut sigmas = recipe.phonons.sigma_angstrom.clone();
     if let Some(surface) = &recipe.surface {
         sigmas.entry(elements::symbol(CARBON).into()).or_insert(surface.sigma_angstrom);

@@ -6,6 +6,7 @@ use crate::acquisition::SourceImage;
 use crate::error::{Error, Result};
 use crate::imaging::{PixelRect, RegionImager};
 use crate::optics::Optics;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe};
 use crate::resample::{MARGIN, image_band_limit, nyquist_step, samples_around};
@@ -141,7 +142,7 @@ impl NoiseFree for ImagerSource<'_> {
 /// The error for a beam that leaves the field.
 fn beyond(recipe: &Recipe, reach: [[f64; 2]; 2], inside: [[f64; 2]; 2]) -> Error {
     let origin = recipe.field.origin_nm();
-    let own = |r: [[f64; 2]; 2]| [0, 1].map(|k| r[k].map(|nm| nm - origin[k]));
+    let own = |r: [[f64; 2]; 2]| plane::per_axis(r, origin, |ends, zero| ends.map(|nm| nm - zero));
     let (reach, inside) = (own(reach), own(inside));
     let text = |r: [[f64; 2]; 2]| {
         let [[x0, x1], [y0, y1]] = r;

@@ -8,6 +8,7 @@ use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::imaging::{Noise, check_countable};
 use crate::imaging::{RegionImager, TurnedRaster, turned_image, turned_images_of_others};
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Field};
 use crate::rng::{self, Purpose};
@@ -148,7 +149,7 @@ impl SampleOptions {
         let pixel_nm = log(self.pixel_nm, PIXEL);
         let room = self.room_nm(field, pixel_nm);
         let raster = TurnedRaster {
-            centre_nm: [0, 1].map(|k| even(room[k], PLACE[k])),
+            centre_nm: plane::per_axis(room, PLACE, even),
             pixel_nm,
             angle_rad: even(self.angle_rad, ANGLE),
             shape: [self.size_px; 2],
@@ -226,7 +227,7 @@ impl TrainingSample {
         let (mut heat, mut mask) = (self.heat_map.view_mut(), self.class_mask.view_mut());
         let (mut positions, mut facts) = (Vec::new(), Vec::new());
         for column in &columns {
-            let place = [0, 1].map(|k| centre[k] + f64::from(column.position_nm[k]));
+            let place = plane::add(centre, column.position_nm.map(f64::from));
             let at = raster.place_px(place);
             draw_column(at, class_of(column), sigma_px, &mut heat, &mut mask);
             if (-0.5..rows).contains(&at[0]) && (-0.5..width).contains(&at[1]) {

@@ -9,6 +9,7 @@ use super::region_truth::{list, phase_map};
 use crate::error::{Error, Result};
 use crate::imaging::Noise;
 use crate::imaging::{PixelRect, RegionImager};
+use crate::plane;
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::CheckedRecipe;
 use crate::rng::{self, Purpose};
@@ -107,7 +108,7 @@ pub fn training_set(
         }
         let (corner, dose) = draw(recipe, options, tile as u64);
         let origin = recipe.field.crop_origin_px();
-        let pixels = PixelRect::new([0, 1].map(|k| origin[k] + corner[k]), [size; 2]);
+        let pixels = PixelRect::new(plane::add(origin, corner), [size; 2]);
         let clean = blocks.image(&pixels, &InterruptOnly(progress))?;
         let noise = Noise {
             seed: options.seed,
@@ -194,8 +195,8 @@ impl TileBlocks<'_> {
         for (row, column) in range(0).flat_map(|r| range(1).map(move |c| (r, c))) {
             let start = [origin[0] + row * BLOCK_PX, origin[1] + column * BLOCK_PX];
             let block = self.block([row, column], start, progress)?;
-            let low = [0, 1].map(|k| first[k].max(start[k]));
-            let high = [0, 1].map(|k| (first[k] + shape[k]).min(start[k] + BLOCK_PX));
+            let low = plane::max(first, start);
+            let high = plane::min(plane::add(first, shape), start.map(|n| n + BLOCK_PX));
             let part = |from: [usize; 2]| {
                 s![low[0] - from[0]..high[0] - from[0], low[1] - from[1]..high[1] - from[1]]
             };
@@ -213,7 +214,7 @@ impl TileBlocks<'_> {
         if !self.made.contains_key(&index) {
             let field = &self.recipe.field;
             let (origin, built) = (field.crop_origin_px(), field.pixels(field.built_grid()));
-            let shape = [0, 1].map(|k| BLOCK_PX.min(origin[k] + built[k] - start[k]));
+            let shape = plane::sub(plane::add(origin, built), start).map(|n| n.min(BLOCK_PX));
             let configurations = self.recipe.phonons.configurations.max(1);
             let made =
                 self.imager.mean_of(&PixelRect::new(start, shape), configurations, progress)?;

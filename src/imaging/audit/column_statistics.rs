@@ -4,6 +4,7 @@ use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 use crate::imaging::pixels::PixelRect;
+use crate::plane;
 use crate::recipe::Recipe;
 use crate::specimen::{SiteKind, Specimen, SpecimenSite};
 use crate::structure::elements;
@@ -80,7 +81,7 @@ pub(crate) fn column_points(
     let corner = [1, 0].map(|k| region.first[k] as f64 * 10.0 * pixel_nm);
     let mut found = Vec::new();
     for column in &sites.columns {
-        let at = [0, 1].map(|k| 10.0 * column.position_nm[k] - corner[k]);
+        let at = plane::sub(column.position_nm.map(|nm| 10.0 * nm), corner);
         let mut near = [0.0; 3];
         for ((i, j), value) in ours.indexed_iter() {
             let d = [at[0] - j as f64 * step, at[1] - i as f64 * step];

@@ -3,6 +3,7 @@
 use super::options::AuditOptions;
 use crate::error::{Error, Result};
 use crate::imaging::pixels::PixelRect;
+use crate::plane;
 use crate::recipe::Recipe;
 use crate::rng::{self, Purpose};
 use crate::specimen::{Specimen, outlines_in};
@@ -39,7 +40,7 @@ pub fn places(
     };
     let origin = field.crop_origin_px();
     let place = |corner: [usize; 2]| AuditPlace {
-        pixels: PixelRect::new([0, 1].map(|k| origin[k] + corner[k]), [edge; 2]).every(stride),
+        pixels: PixelRect::new(plane::add(origin, corner), [edge; 2]).every(stride),
         centre_nm: [1, 0].map(|k| (corner[k] as f64 + 0.5 * (edge - 1) as f64) * pixel),
     };
     Ok(corners.into_iter().map(place).collect())

@@ -28,6 +28,7 @@ use crate::imaging::region_imager::{
 };
 use crate::imaging::simulator::Simulator;
 use crate::imaging::turned_raster::TurnedRaster;
+use crate::plane;
 use crate::potential::slices::{GROUP_ANGSTROM, Slicing};
 use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, Region};
@@ -145,7 +146,7 @@ impl RegionImager for FilmImager {
             }
             share.complete();
         }
-        let at = [0, 1].map(|k| first[k] as f64 * pixel - samples.first[k] as f64);
+        let at = plane::sub(first.map(|n| n as f64 * pixel), samples.first.map(|n| n as f64));
         let image = self.kernel.raster(image.view(), at, [pixel; 2], shape, [Edge::Open; 2]);
         Ok(vec![pixels.sampled(image.mapv(|v| v.max(0.0)))])
     }

@@ -16,6 +16,7 @@ use crate::engine::{Plan, PlannedScan, Scan, Site};
 use crate::error::Result;
 use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::imaging::pixels::PixelBox;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::Region;
 use crate::specimen::{ParticleOutline, outlines_in};
@@ -107,7 +108,7 @@ impl ParticleBlocks {
         particles.sort_by(|a, b| off(a).total_cmp(&off(b)));
         let Some(particle) = particles.first() else { return Ok(None) };
         let half = 0.05 * BLOCK as f64 * self.scene.step + 0.1 * self.margin();
-        let [x, y] = [0, 1].map(|k| [particle.centre_nm[k] - half, particle.centre_nm[k] + half]);
+        let [x, y] = particle.centre_nm.map(|at| [at - half, at + half]);
         let atoms = self.scene.atoms(&Region { x, y });
         let size = [20.0 * half, 20.0 * half, 10.0 * self.scene.specimen.facts().thickness_nm];
         let plan = Plan::new(self.scene.simulator.settings(), size, &self.heights(&atoms))?;
@@ -172,7 +173,7 @@ impl ParticleBlocks {
             })
             .collect();
         let Some(samples) = self.near_particles(&whole, &particles) else { return Ok(None) };
-        let from = [0, 1].map(|k| (samples.first[k] - whole.first[k]) as f64);
+        let from = plane::sub(samples.first, whole.first).map(|n| n as f64);
         let moved: Vec<[f64; 2]> =
             particles.iter().map(|p| [p[0] - from[0], p[1] - from[1]]).collect();
         let share = self.share(&samples, &moved);

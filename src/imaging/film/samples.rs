@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use crate::plane;
 use crate::recipe::Region;
 use crate::resample::HALF_WIDTH;
 
@@ -65,7 +66,7 @@ impl Samples {
         let margin = HALF_WIDTH as i64;
         let low = first.map(|p| (p as f64 * pixel).floor() as i64 - margin);
         let high =
-            [0, 1].map(|k| ((first[k] + shape[k] - 1) as f64 * pixel).floor() as i64 + 1 + margin);
-        Samples { first: low, shape: [0, 1].map(|k| (high[k] - low[k] + 1) as usize) }
+            plane::add(first, shape).map(|p| ((p - 1) as f64 * pixel).floor() as i64 + 1 + margin);
+        Samples { first: low, shape: plane::sub(high, low).map(|n| (n + 1) as usize) }
     }
 }

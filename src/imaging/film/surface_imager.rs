@@ -22,6 +22,7 @@ use crate::imaging::region_imager::{
 };
 use crate::imaging::turned_raster::{ScannedSamples, TurnedRaster};
 use crate::models::carbon::network::CARBON;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Edge, Kernel, image_band_limit};
@@ -137,7 +138,7 @@ impl RegionImager for SurfaceImager {
         let pixel = 10.0 * self.recipe.field.pixel_nm() / self.step;
         let samples = Samples::under(first, shape, pixel);
         let layers = self.layers_at(&samples, configurations)?;
-        let at = [0, 1].map(|k| first[k] as f64 * pixel - samples.first[k] as f64);
+        let at = plane::sub(first.map(|n| n as f64 * pixel), samples.first.map(|n| n as f64));
         let layers = self.kernel.raster(layers.view(), at, [pixel; 2], shape, [Edge::Open; 2]);
         Ok(vec![image + pixels.sampled(layers.mapv(|v| v.max(0.0)))])
     }

@@ -9,6 +9,7 @@ use crate::imaging::mosaic::bins::{Bins, grouped};
 use crate::imaging::mosaic::cell_images::{CellImages, Realisation};
 use crate::imaging::mosaic::image_library::ImageLibrary;
 use crate::imaging::mosaic::survey::BEYOND_NM;
+use crate::plane;
 use crate::recipe::region::Region;
 use crate::resample::{Kernel, TAPS, Weights};
 use crate::simd::vectorised;
@@ -137,7 +138,7 @@ impl Assembly {
             let (mut shares, mut near, mut last) = (Vec::new(), NearColumns::default(), None);
             for column in 0..shape[1] {
                 let at = places[row * shape[1] + column];
-                let at = [0, 1].map(|k| at[k] + way[k]);
+                let at = plane::add(at, way);
                 let here = bins.bin(at);
                 if last != Some(here) {
                     last = Some(here);
@@ -178,7 +179,7 @@ impl Assembly {
             let best = known.iter().min_by(|a, b| unlike(a).total_cmp(&unlike(b)));
             let Some((other, _)) = best else { continue };
             let unit = &self.units[other.unit];
-            let centre = [0, 1].map(|k| column.at[k] + unit.centre[k] - other.at[k]);
+            let centre = plane::sub(plane::add(column.at, unit.centre), other.at);
             stand_ins.push((column.unit, PlacedUnit { centre, ..*unit }));
         }
         for (unit, stand_in) in stand_ins {
@@ -282,10 +283,10 @@ impl Assembly {
         tag: &UnitTag,
         cell: &CellImages,
     ) -> [f64; 2] {
-        let d = [0, 1].map(|k| self.places[pixel][k] - unit.centre[k]);
+        let d = plane::sub(self.places[pixel], unit.centre);
         // The inverse of an orthogonal matrix is its transpose.
         let [u, v] = tag.frame;
-        [0, 1].map(|k| (u[k] * d[0] + v[k] * d[1]) / cell.step_angstrom[k])
+        plane::div(plane::add(u.map(|u| u * d[0]), v.map(|v| v * d[1])), cell.step_angstrom)
     }
 }
 
@@ -399,7 +400,7 @@ fn values(
         add(cell.mean(detector, realisations[0].library_cell), [0, 0], 1.0);
     } else {
         for (realisation, at) in realisations.iter().zip(&centres) {
-            let shift = [0, 1].map(|k| (at[k] - centre[k]).round() as i64);
+            let shift = plane::sub(*at, centre).map(|d| d.round() as i64);
             let image = cell.image(detector, realisation.library_cell, realisation.configuration);
             add(image, shift, 1.0 / realisations.len() as f64);
         }

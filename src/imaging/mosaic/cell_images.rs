@@ -10,6 +10,7 @@ use crate::error::Result;
 use crate::imaging::mosaic::image_note::ImageNote;
 use crate::numerics::NUMERICS_VERSION;
 use crate::optics::Optics;
+use crate::plane;
 use crate::resample::{Kernel, PeriodicResampling, image_band_limit, nyquist_step};
 use crate::rng::{self, Purpose};
 use crate::specimen::sites::SiteKind;
@@ -167,7 +168,7 @@ impl CellImages {
     /// Position of a unit in samples (x, y).
     pub(crate) fn position(&self, unit: usize) -> [f64; 2] {
         let centre = self.library_cell.units[unit].centre;
-        [0, 1].map(|k| (centre[k] - self.library_cell.scan_origin[k]) / self.step_angstrom[k])
+        plane::div(plane::sub(centre, self.library_cell.scan_origin), self.step_angstrom)
     }
 
     /// The configurations whose mean a unit of a world shows; `id` is the unit's number. For a unit without defects they are drawn from all

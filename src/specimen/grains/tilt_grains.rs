@@ -4,6 +4,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use crate::error::{Error, Result};
+use crate::plane;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
@@ -540,7 +541,7 @@ fn shows(motif: &BoundaryMotif, columns: &[BoundaryColumn], flip: [f64; 2]) -> b
     let mut count = 0;
     let all = near.into_iter().all(|c| {
         count += 1;
-        let seen = [0, 1].map(|k| flip[k] * c.position[k]);
+        let seen = plane::mul(flip, c.position);
         motif.slot(seen, c.chains.iter().map(|(n, _)| *n)).is_some()
     });
     all && count == motif.slot_count()
@@ -555,7 +556,7 @@ fn coincidence_of(boundaries: &Boundaries, cell: [f64; 3]) -> Result<Option<Half
 
 fn centre(positions: impl ExactSizeIterator<Item = [f64; 2]>) -> [f64; 2] {
     let count = positions.len() as f64;
-    positions.fold([0.0; 2], |sum, p| [0, 1].map(|k| sum[k] + p[k] / count))
+    positions.fold([0.0; 2], |sum, p| plane::add(sum, p.map(|v| v / count)))
 }
 
 /// Returns the mirror plane nearest to `target` (all in Angstrom): a lattice line of the coincidence boundary, or the line through a

@@ -8,6 +8,7 @@ use crate::models::particles::crystal_particle::{ParticleBody, crystal_particle,
 use crate::models::particles::rotation::Rotation;
 use crate::models::particles::{Cluster, build};
 use crate::models::stack::least_distances::{LEAST_SHARE, LeastDistances};
+use crate::plane;
 use crate::recipe::stack_table::{ParticleSide, StackParticles};
 use crate::recipe::stacked_crystals::{
     CheckedParticles, ParticleForm, ParticleOrientation, StackedCrystals,
@@ -331,9 +332,9 @@ fn convex_hull(mut points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
 /// Moves the corners of a polygon away from its centre.
 fn grown(corners: &[[f64; 2]], centre: [f64; 2], by: f64) -> Vec<[f64; 2]> {
     let moved = |c: &[f64; 2]| {
-        let d = [0, 1].map(|k| c[k] - centre[k]);
+        let d = plane::sub(*c, centre);
         let length = d[0].hypot(d[1]).max(1e-9);
-        [0, 1].map(|k| c[k] + by * d[k] / length)
+        plane::add(*c, d.map(|d| by * d / length))
     };
     corners.iter().map(moved).collect()
 }

@@ -1,6 +1,7 @@
 //! The contents of the units of a lattice, drawn from a pool, and the layout of the pool in library cells.
 
 use crate::error::Result;
+use crate::plane;
 use crate::recipe::resolved_recipe::Recipe;
 use crate::recipe::tables::PointDefect;
 use crate::specimen::column_index::ColumnIndex;
@@ -144,7 +145,7 @@ impl UnitOccupation {
     pub(crate) fn unit_of(&self, index: ColumnIndex) -> (usize, usize, ColumnIndex) {
         let (unit, number) = self.units.of_column[index.kind];
         let member = self.units.kinds[unit][number];
-        let cell = [0, 1].map(|k| index.cell[k] - member.cell[k]);
+        let cell = plane::sub(index.cell, member.cell);
         (unit, number, ColumnIndex { kind: self.units.kinds[unit][0].kind, cell, ..index })
     }
 
