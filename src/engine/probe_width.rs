@@ -153,16 +153,16 @@ mod tests {
     #[test]
     fn a_defocused_probe_needs_a_wider_crop() {
         let prism = |factor| Algorithm::Prism { interpolation: [factor; 2] };
-        let told =
+        let warned =
             |factor, defocus| narrow_crop(&settings(prism(factor), defocus), CELL, CELL, 16.0);
         // 300 A times 21 mrad on either side, and an Airy disk of 1.5 A: 14.1 A
-        let warning = told(4, 300.0).unwrap();
+        let warning = warned(4, 300.0).unwrap();
         for part in ["9.8 A wide", "probe is 14.1 A wide", "20.4 A", "interpolation 1 along x"] {
             assert!(warning.contains(part), "{part}: {warning}");
         }
-        assert_eq!(told(2, 300.0), None);
-        assert_eq!(told(4, 0.0), None);
-        assert_eq!(told(1, 300.0), None);
+        assert_eq!(warned(2, 300.0), None);
+        assert_eq!(warned(4, 0.0), None);
+        assert_eq!(warned(1, 300.0), None);
     }
 
     #[test]

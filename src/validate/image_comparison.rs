@@ -112,7 +112,7 @@ pub fn compare(progress: &dyn Progress, c: &ImageComparison) -> Result<Outcome> 
         notes.push(explained(progress, c, (&ours, &reference), &mut findings)?);
         notes.extend(c.remedy.clone());
     }
-    notes.extend(converged.map(|off| told_by_both(verdict == Verdict::Pass, &off, c.tolerance)));
+    notes.extend(converged.map(|off| result_of_both(verdict == Verdict::Pass, &off, c.tolerance)));
     let detector = c.plan.settings.detectors[0].name.clone();
     findings.figures.push(figure(c, &detector, ours, reference, &d));
     Ok(Outcome {
@@ -180,7 +180,7 @@ fn explained(
             findings.checks.extend(checks_of(&likely));
             match likely.tried.first() {
                 Some(best) if best.rms * MUCH_BETTER < likely.now.min(left_in_place) => {
-                    return Ok(told(&likely, best));
+                    return Ok(explanation(&likely, best));
                 }
                 best => partly = best.filter(|b| b.rms * PARTLY < likely.now).cloned(),
             }
@@ -208,7 +208,7 @@ fn checks_of(likely: &LikelySettings) -> Vec<Check> {
 }
 
 /// Describes the setting that explains the difference, and the difference that the next best setting leaves.
-fn told(likely: &LikelySettings, best: &TriedChange) -> String {
+fn explanation(likely: &LikelySettings, best: &TriedChange) -> String {
     let mut text = format!(
         "{} explains the difference: rms {:.2} % of the mean in place of {:.2} %, at {} probes",
         best.words,
@@ -358,7 +358,7 @@ fn simulated(
 }
 
 /// Describes the result of both comparisons: with abTEM's numerics, and converged.
-fn told_by_both(same_numerics: bool, converged: &Difference, tolerance: f64) -> String {
+fn result_of_both(same_numerics: bool, converged: &Difference, tolerance: f64) -> String {
     let off = format!("{:.2} % of the maximum", 100.0 * converged.largest);
     match (same_numerics, converged.largest <= tolerance) {
         (true, true) => {
