@@ -99,6 +99,7 @@
 //! - `error`: errors with the fault and the remedy
 //! - [`rng`]: random numbers that depend on names, not on the order of drawing
 //! - `made_once`: values that are made at their first request and kept
+//! - `lengths`: conversion of nm and Angstrom
 //! - `plane`: arithmetic of pairs along two axes
 //! - `simd`: vector instructions of the machine
 //! - `matrix`: products of complex matrices
@@ -156,6 +157,7 @@ mod fft;
 pub mod files;
 pub mod imaging;
 pub mod io;
+mod lengths;
 pub mod live;
 mod made_once;
 mod matrix;

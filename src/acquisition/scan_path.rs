@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::acquisition_settings::Acquisition;
+use crate::lengths;
 use crate::plane;
 use crate::rng::{Purpose, normal3, uniform};
 
@@ -15,6 +16,13 @@ pub struct ScanFrame {
     pub pixel_nm: f64,
     /// Place (x, y) of the centre of the first pixel in nm.
     pub origin_nm: [f64; 2],
+}
+
+impl ScanFrame {
+    /// Edge of a pixel in Angstrom.
+    pub(crate) fn pixel_angstrom(&self) -> f64 {
+        lengths::angstrom(self.pixel_nm)
+    }
 }
 
 /// Standard deviation in Angstrom of the Gaussian that stands for the image of a column.
@@ -62,12 +70,12 @@ impl ScanPath {
             let [x, y, _] = normal3(seed, Purpose::Drift, 0, line);
             at = [at[0] + step * x, at[1] + step * y];
             let [x, y, _] = normal3(seed, Purpose::LineJitter, 0, line);
-            let sigma = 0.1 * settings.line_jitter_angstrom;
+            let sigma = lengths::nm(settings.line_jitter_angstrom);
             path.jitter_nm.push([sigma * x, sigma * y]);
         }
         let decay = |column: usize| {
             let t = (column as f64 + 0.5) * settings.dwell_us;
-            -0.1 * settings.overshoot_angstrom * libm::exp(-t / settings.overshoot_decay_us)
+            -lengths::nm(settings.overshoot_angstrom) * libm::exp(-t / settings.overshoot_decay_us)
         };
         path.overshoot_nm = (0..frame.shape[1]).map(decay).collect();
         path
@@ -149,7 +157,7 @@ impl ScanPath {
             return jitter;
         }
         let wave = libm::sin(TAU * hum_hz * self.time_s(frame, row, column) + self.hum_phase);
-        plane::add(jitter, hum_angstrom.map(|hum| 0.1 * hum * wave))
+        plane::add(jitter, lengths::nm(hum_angstrom).map(|hum| hum * wave))
     }
 
     fn line(&self, frame: usize, row: f64) -> usize {
@@ -181,11 +189,9 @@ impl ScanPath {
                 }
             }
         }
-        let own = [0.1 * overshoot_angstrom.abs(), 0.0];
-        [0, 1].map(|k| {
-            let more = 0.1 * hum_angstrom[k] + own[k];
-            [reach[k][0] - more, reach[k][1] + more]
-        })
+        let own = [lengths::nm(overshoot_angstrom.abs()), 0.0];
+        let more = plane::add(lengths::nm(hum_angstrom), own);
+        plane::per_axis(reach, more, |[low, high], more| [low - more, high + more])
     }
 
     /// The place where a column of atoms at (x, y) in nm appears in a frame: (x, y) in pixels from the centre of the first pixel. It is the
@@ -198,9 +204,9 @@ impl ScanPath {
             let slow = self.slow_nm(frame, at[1], at[0]);
             at = plane::sub(meant, slow.map(|nm| nm / pixel_nm));
         }
-        let sigma = (0.1 * COLUMN_SIGMA_ANGSTROM / pixel_nm).max(1.0);
+        let sigma = (lengths::nm(COLUMN_SIGMA_ANGSTROM) / pixel_nm).max(1.0);
         let Acquisition { line_jitter_angstrom, hum_angstrom, .. } = self.settings;
-        let fast = 0.1 * (5.0 * line_jitter_angstrom + hum_angstrom[1]) / pixel_nm;
+        let fast = lengths::nm(5.0 * line_jitter_angstrom + hum_angstrom[1]) / pixel_nm;
         let reach = (4.0 * sigma + fast).ceil();
         let mut sums = [0.0; 3];
         for step in -(reach as i64)..=reach as i64 {

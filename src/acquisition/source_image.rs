@@ -6,6 +6,7 @@ use ndarray::Array2;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::plane;
 use crate::resample::{Kernel, TAPS};
 use crate::setting::Setting;
@@ -37,7 +38,7 @@ impl SourceImage {
             let expected = format!("at least {TAPS} x {TAPS} pixels of the field are needed");
             return Err(Error::invalid(Setting::RecordedRegionNm, value, expected));
         }
-        let kernel = Arc::new(Kernel::new(10.0 * pixel_nm, band_limit)?);
+        let kernel = Arc::new(Kernel::new(lengths::angstrom(pixel_nm), band_limit)?);
         Ok(SourceImage::with_kernel(values, pixel_nm, origin_nm, kernel))
     }
 

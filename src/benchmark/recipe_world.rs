@@ -16,13 +16,13 @@ use crate::imaging::Noise;
 use crate::imaging::{
     MethodChoice, PixelRect, RegionImager, SharedCells, TurnedRaster, overview_image, turned_image,
 };
+use crate::lengths;
 use crate::plane;
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::{CheckedRecipe, OVERVIEW_FACTOR, Recipe, Region, StructureKind};
 use crate::rng::{Purpose, words};
 use crate::setting::Setting;
 use crate::specimen::{ParticleOutline, SiteKind, Specimen, outlines_in, specimen};
-use crate::world::noise_free::band_limit;
 use crate::world::region_truth::{list, phases_of_points};
 use crate::world::{BuildOptions, ColumnTruth, SiteTruth};
 
@@ -154,7 +154,7 @@ impl RecipeSource {
             Some(brightest) => brightest,
             None => self.brightest_of_places(world, progress)?,
         };
-        let electrons = self.facts.dose * (10.0 * self.facts.pixel_nm).powi(2);
+        let electrons = self.facts.dose * lengths::square_angstrom2(self.facts.pixel_nm);
         let noise = if electrons > 0.0 { (brightest / electrons).sqrt() } else { 0.0 };
         Ok([(HEADROOM * brightest + 5.0 * noise).max(f64::MIN_POSITIVE), 0.0])
     }
@@ -296,8 +296,8 @@ impl RecipeWorld {
         let size = of_block.each_ref().map(ExactSizeIterator::len);
         let edge_nm = OVERVIEW_FACTOR as f64 * pixel;
         // The raster's spacing is chosen so that frequencies that alias to zero are above this share of the band limit.
-        let highest = HIGHEST_SHARE * band_limit(&self.recipe);
-        let places = (10.0 * edge_nm * highest).ceil().max(1.0) as usize;
+        let highest = HIGHEST_SHARE * self.recipe.optics.image_band_limit();
+        let places = (lengths::angstrom(edge_nm) * highest).ceil().max(1.0) as usize;
         let origin = self.recipe.field.origin_nm();
         let middle = |k: usize| {
             let from_edge = first[k] as f64 + 0.5 * size[k] as f64;
@@ -316,7 +316,7 @@ impl RecipeWorld {
         });
         let noise = Noise {
             seed: self.recipe.seed ^ OVERVIEW_STREAM,
-            electrons_per_pixel: self.facts.dose * (10.0 * edge_nm).powi(2),
+            electrons_per_pixel: self.facts.dose * lengths::square_angstrom2(edge_nm),
             origin_px: first,
             full_width_px: self.overview_shape()[1],
             detector: 0,

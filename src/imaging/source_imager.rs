@@ -28,7 +28,7 @@ pub(crate) struct SourceImager {
 impl SourceImager {
     /// Blurs an imager by the recipe's source, or returns it unchanged for a point source.
     pub(crate) fn blurring(inner: Box<dyn RegionImager>, recipe: &Recipe) -> Box<dyn RegionImager> {
-        let pixel_angstrom = 10.0 * recipe.field.pixel_nm();
+        let pixel_angstrom = recipe.field.pixel_angstrom();
         match recipe.optics.source() {
             Some(source) => Box::new(SourceImager { inner, source, pixel_angstrom }),
             None => inner,

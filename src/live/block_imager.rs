@@ -65,7 +65,7 @@ impl BlockImager {
         bytes: usize,
     ) -> Result<Self> {
         let pixel_nm = recipe.field.pixel_nm();
-        let blurred = |source| margin_px(source, 10.0 * pixel_nm);
+        let blurred = |source| margin_px(source, recipe.field.pixel_angstrom());
         let margin_px = recipe.optics.source().map(blurred).transpose()?.unwrap_or(0);
         Ok(BlockImager {
             inner,

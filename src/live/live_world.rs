@@ -10,6 +10,7 @@ use super::live_history::{LiveAcquisition, LiveSnapshot};
 use crate::acquisition::{Acquisition, Exposure, ScanPath};
 use crate::error::{Error, Result};
 use crate::imaging::{GrownCarbon, MOST_GROWN_ANGSTROM, MethodChoice, PixelRect, RegionImager};
+use crate::lengths;
 use crate::progress::{InterruptOnly, Progress, Silent};
 use crate::recipe::{CheckedRecipe, Recipe, Region};
 use crate::rng::{Purpose, words};
@@ -256,7 +257,7 @@ impl LiveWorld {
 
     /// Mean thickness in nm of the carbon that has grown on a region (nm from the centre of the first built pixel).
     pub fn mean_carbon_nm(&self, region: &Region) -> f64 {
-        0.1 * self.carbon.mean(&self.in_full_field(region))
+        lengths::nm(self.carbon.mean(&self.in_full_field(region)))
     }
 
     /// The current truth of a region (nm from the centre of the first built pixel of the field).

@@ -1,5 +1,6 @@
 //! Rectangles of the field, in nm.
 
+use crate::lengths;
 use crate::plane;
 
 /// A rectangle `x[0] <= x < x[1]`, `y[0] <= y < y[1]` in nm.
@@ -39,6 +40,10 @@ impl Region {
         let ends = |centre, size| [-0.5, 0.5].map(|half| centre + half * size);
         let [x, y] = plane::per_axis(centre, size, ends);
         Region { x, y }
+    }
+    /// Returns the extent (x, y) in Angstrom.
+    pub(crate) fn size_angstrom(&self) -> [f64; 2] {
+        lengths::angstrom([self.x, self.y].map(|[low, high]| high - low))
     }
     /// Returns the area that the pixels `rows` x `columns` from pixel (row, column) `first` cover.
     pub fn of_pixels(first: [usize; 2], shape: [usize; 2], pixel_nm: f64) -> Region {

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::lengths;
 use crate::models::particles::Morphology;
 use crate::plane;
 use crate::recipe::crystal_source::CrystalSource;
@@ -283,6 +284,14 @@ impl Field {
     /// Returns the edge of a (square) pixel in nm: width of the full field divided by its number of pixels.
     pub fn pixel_nm(&self) -> f64 {
         self.fov_nm[1] / self.pixels(self.grid)[1] as f64
+    }
+    /// Returns the edge of a pixel in Angstrom.
+    pub(crate) fn pixel_angstrom(&self) -> f64 {
+        lengths::angstrom(self.pixel_nm())
+    }
+    /// Returns the thickness in Angstrom.
+    pub(crate) fn thickness_angstrom(&self) -> f64 {
+        lengths::angstrom(self.thickness_nm)
     }
     /// Returns the area of the full field.
     pub fn full_region(&self) -> Region {

@@ -289,7 +289,7 @@ fn recorder(frame: &ScanFrame, options: &RecordingOptions) -> Result<Recorder> {
     acquisition.check().map_err(|Fault { key, value, expected }| {
         Error::invalid(Setting::Acquisition, format!("{key} = {value}"), expected)
     })?;
-    let (dwell, frames, pixel) = (acquisition.dwell_us, acquisition.frames, 10.0 * frame.pixel_nm);
+    let (dwell, frames, pixel) = (acquisition.dwell_us, acquisition.frames, frame.pixel_angstrom());
     let exposure = match options.electrons {
         Electrons::Dose(dose) => Exposure::of_dose(dose, dwell, frames, pixel)?,
         Electrons::CurrentPa(current) => Exposure::of_current(current, dwell, frames, pixel)?,

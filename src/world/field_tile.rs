@@ -127,7 +127,7 @@ fn check(recipe: &Recipe, pixels: &PixelRect, dose: Option<f64>) -> Result<()> {
             Err(Error::invalid(crate::Setting::Dose, dose, expected))
         }
         None => {
-            let pixel = 10.0 * recipe.field.pixel_nm();
+            let pixel = recipe.field.pixel_angstrom();
             dose.map_or(Ok(()), |dose| check_countable(dose, pixel * pixel))
         }
     }

@@ -8,6 +8,7 @@ use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::imaging::{Noise, check_countable};
 use crate::imaging::{RegionImager, TurnedRaster, turned_image, turned_images_of_others};
+use crate::lengths;
 use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Field};
@@ -106,7 +107,7 @@ impl SampleOptions {
             let expected = "expected 0.001 to 1e12 electrons per square Angstrom, the lower first";
             return refuse(Setting::Dose, format!("{low}, {high}"), expected.into());
         }
-        check_countable(high, (10.0 * self.pixel_nm[1]).powi(2))?;
+        check_countable(high, lengths::square_angstrom2(self.pixel_nm[1]))?;
         if !rises(self.angle_rad) {
             let expected = "expected two angles, the lower first".into();
             return refuse(Setting::RecordedRegionNm, format!("{:?}", self.angle_rad), expected);
@@ -173,7 +174,7 @@ pub fn training_sample(
     options.check(&recipe.field)?;
     let (raster, dose) = options.draw(&recipe.field, index);
     let clean = turned_image(recipe, imager, &raster, progress)?.mapv(|v| v as f32);
-    let electrons_per_pixel = dose * (10.0 * raster.pixel_nm).powi(2);
+    let electrons_per_pixel = dose * (raster.pixel_angstrom()).powi(2);
     let size = options.size_px;
     let place_nm = raster.places_nm();
     // Each sample takes its noise from other rows of an endless field of noise.

@@ -98,7 +98,7 @@ pub fn training_set(
 ) -> Result<TrainingSet> {
     check(recipe, options)?;
     let (n, size) = (options.tiles, options.size_px);
-    let mut set = TrainingSet::empty(n, size, 10.0 * recipe.field.pixel_nm());
+    let mut set = TrainingSet::empty(n, size, recipe.field.pixel_angstrom());
     let mut blocks = TileBlocks { recipe, imager, made: HashMap::new() };
     let mut lists = ColumnLists::default();
     progress.start("tiles", "tile", n as u64);

@@ -14,7 +14,7 @@ use crate::detect::Detector;
 use crate::engine::Settings;
 use crate::engine::single_scattering::SingleScattering;
 use crate::error::Result;
-use crate::imaging::displaced_atoms::{DisplacedAtoms, with_layers};
+use crate::imaging::displaced_atoms::{DisplacedAtoms, FrozenPhonons, with_layers};
 use crate::imaging::imaging_cost::ImagingCost;
 use crate::imaging::pixels::PixelRect;
 use crate::imaging::region_imager::{
@@ -135,7 +135,7 @@ impl RegionImager for SurfaceImager {
     ) -> Result<Vec<Array2<f64>>> {
         let image = self.inner.mean_of(pixels, configurations, progress)?;
         let PixelRect { first, shape, .. } = *pixels;
-        let pixel = 10.0 * self.recipe.field.pixel_nm() / self.step;
+        let pixel = self.recipe.field.pixel_angstrom() / self.step;
         let samples = Samples::under(first, shape, pixel);
         let layers = self.layers_at(&samples, configurations)?;
         let at = plane::sub(first.map(|n| n as f64 * pixel), samples.first.map(|n| n as f64));
@@ -171,7 +171,7 @@ impl RegionImager for SurfaceImager {
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         let atoms = self.inner.atoms(area, configuration);
-        let which = (self.recipe.seed, configuration);
+        let which = FrozenPhonons { seed: self.recipe.seed, configuration };
         with_layers(&self.layers, atoms, area, which, self.settings.optics.slope())
     }
 

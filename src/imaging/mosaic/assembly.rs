@@ -9,6 +9,7 @@ use crate::imaging::mosaic::bins::{Bins, grouped};
 use crate::imaging::mosaic::cell_images::{CellImages, Realisation};
 use crate::imaging::mosaic::image_library::ImageLibrary;
 use crate::imaging::mosaic::survey::BEYOND_NM;
+use crate::lengths;
 use crate::plane;
 use crate::recipe::region::Region;
 use crate::resample::{Kernel, TAPS, Weights};
@@ -16,6 +17,7 @@ use crate::simd::vectorised;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::sites::SiteKind;
 use crate::specimen::specimen_trait::Specimen;
+use crate::specimen::units::patterns::UnitSeed;
 use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 
 /// Width of the ramps between units. A unit's weight is exp(-d^2 / 2 s): d is the distance to the unit's nearest column in Angstrom, and
@@ -99,7 +101,7 @@ impl Assembly {
         pixel_nm: f64,
         way: [f64; 2],
     ) -> Self {
-        let pixel_angstrom = 10.0 * pixel_nm;
+        let pixel_angstrom = lengths::angstrom(pixel_nm);
         let place = |n: usize| {
             let at = [first[1] + n % shape[1], first[0] + n / shape[1]];
             at.map(|p| p as f64 * pixel_angstrom)
@@ -124,9 +126,9 @@ impl Assembly {
         let (mut families, mut family) = (Families::default(), 0);
         for column in specimen.columns(&area) {
             let id = column.unit.map_or(column.id, |u| u.id);
-            let at = column.position_nm.map(|v| 10.0 * v);
+            let at = lengths::angstrom(column.position_nm);
             let unit = *known.entry(id).or_insert_with(|| {
-                let centre = column.unit.map_or(at, |u| u.centre_nm.map(|v| 10.0 * v));
+                let centre = column.unit.map_or(at, |u| lengths::angstrom(u.centre_nm));
                 family = column.unit.map_or(family, |tag| families.index(family, &tag));
                 units.push(PlacedUnit { tag: column.unit, family, centre });
                 units.len() - 1
@@ -229,7 +231,8 @@ impl Assembly {
         configurations: usize,
     ) -> Array2<f64> {
         self.image_of((library, detector), kernel, |cell, tag| {
-            let mut own = cell.realisations(tag.entry, (seed, tag.id), library.configurations());
+            let unit = UnitSeed { seed, id: tag.id };
+            let mut own = cell.realisations(tag.entry, unit, library.configurations());
             own.truncate(configurations);
             own
         })
