@@ -188,7 +188,8 @@ impl RecipeSource {
         let imager = imaging.imager_of_many(recipe, specimen, &self.shared)?;
         let mut brightest = 0.0f64;
         for ParticleOutline { centre_nm, .. } in particles {
-            let middle = [1, 0].map(|k| (centre_nm[k] / self.facts.pixel_nm).round() as usize);
+            let middle =
+                plane::swapped(centre_nm).map(|nm| (nm / self.facts.pixel_nm).round() as usize);
             let first = middle.map(|n| n.saturating_sub(PARTICLE_PX / 2));
             let image = imager.mean_of(&PixelRect::new(first, [PARTICLE_PX; 2]), 1, progress)?;
             brightest = image.iter().fold(brightest, |m, v| m.max(*v));

@@ -104,7 +104,8 @@ impl TileView {
 
     /// Returns the middle (x, y) of the view in nm from the centre of the field's first pixel.
     pub(crate) fn centre_nm(&self, pixel_nm: f64) -> [f64; 2] {
-        [1, 0].map(|k| (self.first_px[k] as f64 + 0.5 * (self.tile_px as f64 - 1.0)) * pixel_nm)
+        plane::swapped(self.first_px)
+            .map(|px| (px as f64 + 0.5 * (self.tile_px as f64 - 1.0)) * pixel_nm)
     }
 
     /// Returns the pixels of the view, with the field's pixel (0, 0) at `origin_nm` (x, y).

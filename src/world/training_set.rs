@@ -236,7 +236,7 @@ impl ColumnLists {
     /// Adds a column of a tile at (row, column) in pixels, with its facts.
     pub(crate) fn add(&mut self, tile: usize, at: [f64; 2], facts: [i32; 5]) {
         self.tiles.push(tile as i32);
-        self.positions.push([1, 0].map(|k| at[k] as f32));
+        self.positions.push(plane::swapped(at).map(|px| px as f32));
         self.facts.push(facts);
     }
 
@@ -268,7 +268,7 @@ impl TrainingSet {
     /// Records the place of a tile: its first pixel (row, column) in the full field.
     pub(crate) fn place(&mut self, tile: usize, first: [usize; 2]) {
         let half = 0.5 * (self.images.len_of(Axis(1)) as f64 - 1.0);
-        let centre = [1, 0].map(|k| (first[k] as f64 + half) * 0.1 * self.pixel_angstrom);
+        let centre = plane::swapped(first).map(|n| (n as f64 + half) * 0.1 * self.pixel_angstrom);
         self.centres_nm.row_mut(tile).assign(&Array1::from(centre.to_vec()));
     }
 
@@ -285,13 +285,13 @@ impl TrainingSet {
         let pixel = recipe.field.pixel_nm();
         let around = pixels.region(pixel).grown(REACH_SIGMAS * sigma_px * pixel);
         // Positions count from the centre of the tile's first pixel.
-        let origin = [1, 0].map(|k| (pixels.first[k] as f64) * pixel);
+        let origin = plane::swapped(pixels.first).map(|n| n as f64 * pixel);
         let (_, columns) = list(&specimen.query(&around), origin, 0);
         let mut heat = self.heat_maps.index_axis_mut(Axis(0), tile);
         let mut mask = self.class_masks.index_axis_mut(Axis(0), tile);
         let size = heat.dim().0 as f64;
         for column in &columns {
-            let at = [1, 0].map(|k| f64::from(column.position_nm[k]) / pixel);
+            let at = plane::swapped(column.position_nm).map(|nm| f64::from(nm) / pixel);
             draw_column(at, class_of(column), sigma_px, &mut heat, &mut mask);
             if at.iter().all(|v| (-0.5..size - 0.5).contains(v)) {
                 lists.add(tile, at, facts_of(column));

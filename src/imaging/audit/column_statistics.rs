@@ -79,7 +79,7 @@ pub(crate) fn column_points(
     let pixel_nm = recipe.field.pixel_nm();
     let step = lengths::angstrom(pixel_nm) * region.stride as f64;
     let sites = specimen.query(&region.region(pixel_nm).grown(-0.08));
-    let corner = [1, 0].map(|k| region.first[k] as f64 * 10.0 * pixel_nm);
+    let corner = plane::swapped(region.first).map(|n| n as f64 * 10.0 * pixel_nm);
     let mut found = Vec::new();
     for column in &sites.columns {
         let at = plane::sub(lengths::angstrom(column.position_nm), corner);

@@ -17,6 +17,7 @@ use crate::imaging::simulator::Simulator;
 use crate::lengths;
 use crate::models::carbon::carbon_film::Film;
 use crate::models::carbon::network::CARBON;
+use crate::plane;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Kernel, TAPS, image_band_limit};
 use crate::rng::{Purpose, words};
@@ -199,7 +200,7 @@ impl CarbonPatch<'_> {
             image = blur.blurred(image);
         }
         let step = self.carbon.step;
-        let first = [1, 0].map(|k| self.samples.first[k] + self.margin[k] as i64);
+        let first = plane::swapped(plane::add(self.samples.first, self.margin.map(|n| n as i64)));
         SourceImage::with_kernel(
             image.mapv(|v| v as f32),
             lengths::nm(step),

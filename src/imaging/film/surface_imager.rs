@@ -159,7 +159,7 @@ impl RegionImager for SurfaceImager {
             return Ok(None);
         };
         let samples = Samples::around(&raster.region(), self.step);
-        let first = [1, 0].map(|k| samples.first[k] as f64 * self.step);
+        let first = plane::swapped(samples.first).map(|n| n as f64 * self.step);
         let values = self.layers_at(&samples, configurations)?;
         let layers = ScannedSamples { values, first, step: self.step };
         let layers = layers.at(&raster.places_angstrom(), &self.kernel);
