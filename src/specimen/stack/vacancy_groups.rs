@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use super::filling::MadeSite;
-use crate::lengths;
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::models::stack::least_distances::AtomBoxes;
 use crate::recipe::stacked_crystals::{CheckedLines, StackedCrystals};
 use crate::recipe::vacancy_groups_table::{DoubleVacancies, MissingAtoms, VacancyPair};
@@ -136,7 +136,7 @@ pub fn mark_lines(
         for row in 0..line.count {
             let given_place = given.positions_nm.get(row);
             let found = match given_place {
-                Some(at) => Some(columns.row(line, lengths::angstrom_by_division(at))),
+                Some(at) => Some(columns.row(line, lengths::angstrom_by_division(*at))),
                 None => random_row(recipe, &columns, line, (n, row), &taken),
             };
             let found = found.filter(|found| found.len() > 1);
@@ -173,7 +173,9 @@ fn random_row(
             let stream = 2 * n as u32 + axis;
             uniform(recipe.seed, Purpose::VacancyGroup, stream, row as u64 * TRIES + attempt)
         };
-        let place = |[low, high]: [f64; 2], share: f64| lengths::angstrom_by_division(low + (high - low) * share);
+        let place = |[low, high]: [f64; 2], share: f64| {
+            lengths::angstrom_by_division(low + (high - low) * share)
+        };
         let found = columns.row(line, [place(field.x, share(0)), place(field.y, share(1))]);
         let whole = found.len() == line.columns && found.iter().all(|c| !taken.contains(c));
         whole.then_some(found)
