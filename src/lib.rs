@@ -99,6 +99,8 @@
 //! - `error`: errors with the fault and the remedy
 //! - [`rng`]: random numbers that depend on names, not on the order of drawing
 //! - `made_once`: values that are made at their first request and kept
+//! - `lengths`: conversion of nm and Angstrom
+//! - `plane`: arithmetic of pairs along two axes
 //! - `simd`: vector instructions of the machine
 //! - `matrix`: products of complex matrices
 //! - [`progress`]: reports of long computations, and their interruption
@@ -155,12 +157,14 @@ mod fft;
 pub mod files;
 pub mod imaging;
 pub mod io;
+mod lengths;
 pub mod live;
 mod made_once;
 mod matrix;
 pub mod models;
 pub mod numerics;
 pub mod optics;
+mod plane;
 pub mod potential;
 pub mod progress;
 #[cfg(feature = "report")]

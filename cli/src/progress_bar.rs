@@ -28,7 +28,7 @@ pub struct Reporter {
 
 #[derive(Clone, Copy, PartialEq)]
 enum Mode {
-    Quiet,
+    Silent,
     Lines,
     Bars,
 }
@@ -52,7 +52,7 @@ impl Reporter {
     /// Makes a reporter, which prints nothing if `quiet`.
     pub fn new(quiet: bool) -> Self {
         let mode = match (quiet, std::io::stderr().is_terminal()) {
-            (true, _) => Mode::Quiet,
+            (true, _) => Mode::Silent,
             (false, true) => Mode::Bars,
             (false, false) => Mode::Lines,
         };
@@ -73,7 +73,7 @@ impl Reporter {
 
     /// Prints a message that is no warning, on standard error.
     pub fn note(&self, message: &str) {
-        if self.mode != Mode::Quiet && !self.interrupted() {
+        if self.mode != Mode::Silent && !self.interrupted() {
             text::complain(message);
         }
     }
@@ -117,7 +117,7 @@ impl Progress for Reporter {
         let now = self.begun.elapsed().as_millis() as u64;
         let next = self.next_ms.load(Relaxed);
         let pause = if self.mode == Mode::Bars { 100 } else { 1000 };
-        if self.mode != Mode::Quiet
+        if self.mode != Mode::Silent
             && now >= next
             && self.next_ms.compare_exchange(next, now + pause, Relaxed, Relaxed).is_ok()
         {
@@ -133,7 +133,7 @@ impl Progress for Reporter {
 
     fn warn(&self, message: &str) {
         // After Ctrl-C the error and its hint are enough.
-        if self.mode == Mode::Quiet || self.interrupted() {
+        if self.mode == Mode::Silent || self.interrupted() {
             return;
         }
         let print = || text::complain(&format!("warning: {message}"));

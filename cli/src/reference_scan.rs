@@ -61,7 +61,7 @@ pub fn reference_scan(
         (Some(origin_angstrom), None, Some(step_angstrom)) => {
             Scan { origin_angstrom, step_angstrom, shape: [rows, columns] }
         }
-        _ => return Err(untold(args, array, [columns, rows], stated.is_some())),
+        _ => return Err(unknown_scan(args, array, [columns, rows], stated.is_some())),
     };
     same_count(scan.shape)?;
     same_pixels(&scan, stated, array)?;
@@ -69,7 +69,7 @@ pub fn reference_scan(
 }
 
 /// Returns the error for a scan that is not fully stated. abTEM's arrays hold neither the start nor the end of a scan, and none is guessed.
-fn untold(
+fn unknown_scan(
     args: &ScanArgs,
     array: &ForeignArray,
     [x, y]: [usize; 2],

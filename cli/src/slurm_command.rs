@@ -148,13 +148,13 @@ impl Slurm {
     }
 
     fn jobs(&self, plan: &WorldPlan, words: &[String]) -> ClusterJobs {
-        let (memory, seconds, threads) = plan.takes(usize::from(self.cpus));
+        let needs = plan.needs(usize::from(self.cpus));
         let tasks = f64::from(self.shards) * f64::from(self.cpus);
-        let share = seconds * threads as f64 / tasks;
+        let share = needs.longest_s * needs.threads as f64 / tasks;
         let mut jobs = ClusterJobs {
             shards: self.shards,
             cpus: self.cpus,
-            memory_bytes: (MEMORY_MARGIN * memory as f64 + MEMORY_BYTES) as u64,
+            memory_bytes: (MEMORY_MARGIN * needs.memory_bytes as f64 + MEMORY_BYTES) as u64,
             time_s: MARGIN * share + START_S,
             arrays: if plan.has_library() { 2 } else { 1 },
             output: plan.output.clone(),

@@ -1,7 +1,7 @@
 //! Runs one or many episodes of the benchmark.
 
 use crate::builds::CacheChoice;
-use crate::errors::{Fault, Told};
+use crate::errors::{Fault, OrRaise};
 use crate::long_call::{LongCall, Running, run};
 use crate::recipes::checked;
 use crate::words::choice;

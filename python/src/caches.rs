@@ -1,6 +1,6 @@
 //! The cache of the simulations that worlds share, and the supplied library.
 
-use crate::errors::{Fault, Told};
+use crate::errors::{Fault, OrRaise};
 use crate::long_call::{Running, run};
 use crate::recipes::checked;
 use pyo3::prelude::*;

@@ -1,7 +1,7 @@
 //! Audits, validation, comparison of worlds.
 
 use crate::builds::CacheChoice;
-use crate::errors::{Fault, Told};
+use crate::errors::{Fault, OrRaise};
 use crate::long_call::{Running, run};
 use crate::recipes::checked;
 use pyo3::prelude::*;

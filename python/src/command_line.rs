@@ -18,7 +18,7 @@ pub fn main(py: Python<'_>, arguments: Vec<OsString>, again: Vec<OsString>) -> u
 /// The file cannot be read completely.
 #[pyfunction]
 pub fn check_file(py: Python<'_>, path: PathBuf, again: Vec<OsString>) -> PyResult<()> {
-    use crate::errors::Told;
+    use crate::errors::OrRaise;
     Invocation { arguments: Vec::new(), again }.remember();
     py.detach(|| stemgen_cli::survive(&path)).or_raise(py)
 }

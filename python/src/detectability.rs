@@ -1,6 +1,6 @@
 //! Finds the dose at which a defect is seen.
 
-use crate::errors::{Fault, Told};
+use crate::errors::{Fault, OrRaise};
 use crate::long_call::{LongCall, Running, run};
 use crate::recipes::checked;
 use crate::request::{AtomArrays, of_json};

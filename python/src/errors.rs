@@ -133,7 +133,7 @@ pub fn settings() -> Vec<String> {
 }
 
 /// Converts the results of short calls for Python.
-pub trait Told<T> {
+pub trait OrRaise<T> {
     /// Returns the value, or the exception.
     ///
     /// # Errors
@@ -141,7 +141,7 @@ pub trait Told<T> {
     fn or_raise(self, py: Python<'_>) -> PyResult<T>;
 }
 
-impl<T, E: Into<Fault>> Told<T> for Result<T, E> {
+impl<T, E: Into<Fault>> OrRaise<T> for Result<T, E> {
     fn or_raise(self, py: Python<'_>) -> PyResult<T> {
         self.map_err(|fault| error(py, fault.into()))
     }

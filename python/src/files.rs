@@ -1,6 +1,6 @@
 //! Writes images to files of other programs.
 
-use crate::errors::{Fault, Told};
+use crate::errors::{Fault, OrRaise};
 use ndarray::Array3;
 use numpy::PyReadonlyArray3;
 use pyo3::prelude::*;

@@ -1,7 +1,7 @@
 //! Live worlds: specimens in memory that recordings change.
 
 use crate::builds::CacheChoice;
-use crate::errors::{Fault, Told};
+use crate::errors::{Fault, OrRaise};
 use crate::long_call::{Running, run};
 use crate::pattern_cubes::{dicts, record_patterns};
 use crate::recipes::checked;

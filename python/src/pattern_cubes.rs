@@ -1,6 +1,6 @@
 //! Simulates, reads and writes the diffraction patterns of scans.
 
-use crate::errors::{Fault, Told};
+use crate::errors::{Fault, OrRaise};
 use crate::long_call::{LongCall, Running, run};
 use crate::request::{AtomArrays, Request};
 use crate::simulate::check;

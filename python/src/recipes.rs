@@ -1,6 +1,6 @@
 //! Resolves and checks recipes. Python holds a recipe as TOML that contains its crystals.
 
-use crate::errors::{Fault, Told};
+use crate::errors::{Fault, OrRaise};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use stemgen::acquisition::{AcquisitionTable, Profile};

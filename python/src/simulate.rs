@@ -1,6 +1,6 @@
 //! Simulates images of atoms.
 
-use crate::errors::{Fault, Told};
+use crate::errors::{Fault, OrRaise};
 use crate::long_call::{LongCall, Running, run};
 use crate::request::{AtomArrays, Request};
 use ndarray::{Array2, Array3, Array5, Axis};

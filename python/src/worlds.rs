@@ -1,6 +1,6 @@
 //! Reads world files.
 
-use crate::errors::{Fault, Told, error};
+use crate::errors::{Fault, OrRaise, error};
 use crate::long_call::{Running, run};
 use ndarray::{Array1, Array2};
 use numpy::{IntoPyArray, PyArray2};

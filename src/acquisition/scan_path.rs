@@ -3,6 +3,8 @@
 use std::f64::consts::TAU;
 
 use super::acquisition_settings::Acquisition;
+use crate::lengths;
+use crate::plane;
 use crate::rng::{Purpose, normal3, uniform};
 
 /// The intended pixels of a scan.
@@ -14,6 +16,13 @@ pub struct ScanFrame {
     pub pixel_nm: f64,
     /// Place (x, y) of the centre of the first pixel in nm.
     pub origin_nm: [f64; 2],
+}
+
+impl ScanFrame {
+    /// Edge of a pixel in Angstrom.
+    pub(crate) fn pixel_angstrom(&self) -> f64 {
+        lengths::angstrom(self.pixel_nm)
+    }
 }
 
 /// Standard deviation in Angstrom of the Gaussian that stands for the image of a column.
@@ -61,12 +70,12 @@ impl ScanPath {
             let [x, y, _] = normal3(seed, Purpose::Drift, 0, line);
             at = [at[0] + step * x, at[1] + step * y];
             let [x, y, _] = normal3(seed, Purpose::LineJitter, 0, line);
-            let sigma = 0.1 * settings.line_jitter_angstrom;
+            let sigma = lengths::nm(settings.line_jitter_angstrom);
             path.jitter_nm.push([sigma * x, sigma * y]);
         }
         let decay = |column: usize| {
             let t = (column as f64 + 0.5) * settings.dwell_us;
-            -0.1 * settings.overshoot_angstrom * libm::exp(-t / settings.overshoot_decay_us)
+            -lengths::nm(settings.overshoot_angstrom) * libm::exp(-t / settings.overshoot_decay_us)
         };
         path.overshoot_nm = (0..frame.shape[1]).map(decay).collect();
         path
@@ -111,7 +120,7 @@ impl ScanPath {
     pub(crate) fn drift_nm(&self, frame: usize, row: usize) -> [f64; 2] {
         let t = self.line_start_s(frame, row);
         let walk = self.walk_nm[frame * self.frame.shape[0] + row];
-        [0, 1].map(|k| self.settings.drift_nm_per_s[k] * t + walk[k])
+        plane::add(self.settings.drift_nm_per_s.map(|v| v * t), walk)
     }
 
     /// Place (x, y) in nm of the beam on the specimen while a pixel is recorded.
@@ -122,7 +131,7 @@ impl ScanPath {
         let fast = self.fast_nm(frame, row, column);
         let meant = [column, row].map(|p| p * self.frame.pixel_nm);
         let own = [overshoot, 0.0];
-        [0, 1].map(|k| self.frame.origin_nm[k] + meant[k] + slow[k] + fast[k] + own[k])
+        [meant, slow, fast, own].into_iter().fold(self.frame.origin_nm, plane::add)
     }
 
     /// Displacement by scale, shear and drift. Rows beyond the frame have the random walk of its edge.
@@ -148,7 +157,7 @@ impl ScanPath {
             return jitter;
         }
         let wave = libm::sin(TAU * hum_hz * self.time_s(frame, row, column) + self.hum_phase);
-        [0, 1].map(|k| jitter[k] + 0.1 * hum_angstrom[k] * wave)
+        plane::add(jitter, lengths::nm(hum_angstrom).map(|hum| hum * wave))
     }
 
     fn line(&self, frame: usize, row: f64) -> usize {
@@ -180,26 +189,24 @@ impl ScanPath {
                 }
             }
         }
-        let own = [0.1 * overshoot_angstrom.abs(), 0.0];
-        [0, 1].map(|k| {
-            let more = 0.1 * hum_angstrom[k] + own[k];
-            [reach[k][0] - more, reach[k][1] + more]
-        })
+        let own = [lengths::nm(overshoot_angstrom.abs()), 0.0];
+        let more = plane::add(lengths::nm(hum_angstrom), own);
+        plane::per_axis(reach, more, |[low, high], more| [low - more, high + more])
     }
 
     /// The place where a column of atoms at (x, y) in nm appears in a frame: (x, y) in pixels from the centre of the first pixel. It is the
     /// centre of mass of a Gaussian of 0.4 A (at least one pixel) about the column. Columns beyond the edges have a place too.
     pub(crate) fn appearance_px(&self, frame: usize, position_nm: [f64; 2]) -> [f64; 2] {
         let ScanFrame { shape, pixel_nm, origin_nm } = self.frame;
-        let meant = [0, 1].map(|k| (position_nm[k] - origin_nm[k]) / pixel_nm);
+        let meant = plane::sub(position_nm, origin_nm).map(|d| d / pixel_nm);
         let mut at = meant;
         for _ in 0..8 {
             let slow = self.slow_nm(frame, at[1], at[0]);
-            at = [0, 1].map(|k| meant[k] - slow[k] / pixel_nm);
+            at = plane::sub(meant, slow.map(|nm| nm / pixel_nm));
         }
-        let sigma = (0.1 * COLUMN_SIGMA_ANGSTROM / pixel_nm).max(1.0);
+        let sigma = (lengths::nm(COLUMN_SIGMA_ANGSTROM) / pixel_nm).max(1.0);
         let Acquisition { line_jitter_angstrom, hum_angstrom, .. } = self.settings;
-        let fast = 0.1 * (5.0 * line_jitter_angstrom + hum_angstrom[1]) / pixel_nm;
+        let fast = lengths::nm(5.0 * line_jitter_angstrom + hum_angstrom[1]) / pixel_nm;
         let reach = (4.0 * sigma + fast).ceil();
         let mut sums = [0.0; 3];
         for step in -(reach as i64)..=reach as i64 {

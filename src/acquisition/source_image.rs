@@ -6,6 +6,8 @@ use ndarray::Array2;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
+use crate::lengths;
+use crate::plane;
 use crate::resample::{Kernel, TAPS};
 use crate::setting::Setting;
 
@@ -36,7 +38,7 @@ impl SourceImage {
             let expected = format!("at least {TAPS} x {TAPS} pixels of the field are needed");
             return Err(Error::invalid(Setting::RecordedRegionNm, value, expected));
         }
-        let kernel = Arc::new(Kernel::new(10.0 * pixel_nm, band_limit)?);
+        let kernel = Arc::new(Kernel::new(lengths::angstrom(pixel_nm), band_limit)?);
         Ok(SourceImage::with_kernel(values, pixel_nm, origin_nm, kernel))
     }
 
@@ -73,7 +75,7 @@ impl SourceImage {
         lines.into_par_iter().for_each(|(row, mut line)| {
             for (column, value) in line.iter_mut().enumerate() {
                 let at = [column, row].map(|p| p as f64 * self.pixel_nm);
-                let place = [0, 1].map(|k| self.origin_nm[k] + at[k]);
+                let place = plane::add(self.origin_nm, at);
                 *value += other.at(place).max(0.0) as f32;
             }
         });
@@ -83,7 +85,7 @@ impl SourceImage {
     /// The image at a place (x, y) in nm, as fraction of the beam.
     pub fn at(&self, place_nm: [f64; 2]) -> f64 {
         let (rows, columns) = self.values.dim();
-        let [x, y] = [0, 1].map(|k| (place_nm[k] - self.origin_nm[k]) / self.pixel_nm);
+        let [x, y] = plane::sub(place_nm, self.origin_nm).map(|d| d / self.pixel_nm);
         let along_x = self.kernel.weights_within(x, columns);
         let along_y = self.kernel.weights_within(y, rows);
         let (first_row, first) = (along_y.first as usize, along_x.first as usize);

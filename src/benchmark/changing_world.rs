@@ -10,6 +10,7 @@ use super::recipe_world::{RecipeSource, RecipeWorld, truth_of};
 use super::view::{FieldFacts, TileView};
 use crate::acquisition::Profile;
 use crate::error::Result;
+use crate::lengths;
 use crate::live::{LiveOptions, LiveRequest, LiveWorld};
 use crate::progress::Progress;
 use crate::recipe::Region;
@@ -103,7 +104,7 @@ impl BenchmarkWorld for ChangingWorld {
             keep_frames: false,
         };
         let recording = self.live().acquire(&request, progress)?;
-        let electrons = dose * (10.0 * fine).powi(2);
+        let electrons = dose * lengths::square_angstrom2(fine);
         let image = recording.data.index_axis(Axis(0), 0).mapv(|n| (n / electrons) as f32);
         Ok(Some(RecordedView { image, truth }))
     }

@@ -15,6 +15,7 @@ use super::seen_truth::SeenTruth;
 use super::task::{Task, TaskKind, TaskScore};
 use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
+use crate::plane;
 use crate::progress::Progress;
 use crate::setting::Setting;
 
@@ -440,5 +441,5 @@ fn within(values: [f64; 2]) -> Result<[f64; 2]> {
         return Err(Error::invalid(Setting::Episode, format!("{values:?}"), expected));
     }
     let limits = [ZOOM, MULTIPLIER];
-    Ok([0, 1].map(|k| values[k].clamp(limits[k][0], limits[k][1])))
+    Ok(plane::per_axis(values, limits, |v, [low, high]| v.clamp(low, high)))
 }

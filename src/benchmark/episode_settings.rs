@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::view::FieldFacts;
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::setting::Setting;
 
 /// Dose of an acquisition without zoom and with the multiplier 1 in the budget, in electrons per square Angstrom.
@@ -143,6 +144,6 @@ impl EpisodeSettings {
 
     /// Returns the electrons on a pixel of an acquisition. With a zoom the pixel is smaller and the dose greater by the same factor.
     pub(crate) fn electrons_per_pixel(&self, field: &FieldFacts, multiplier: f64) -> f64 {
-        self.dose(field) * multiplier * (10.0 * field.pixel_nm).powi(2)
+        self.dose(field) * multiplier * lengths::square_angstrom2(field.pixel_nm)
     }
 }

@@ -14,6 +14,7 @@ use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
 use crate::imaging::TurnedRaster;
 use crate::io::{WorldFile, atom_type};
+use crate::lengths;
 use crate::made_once::MadeOnce;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe, Region};
@@ -21,7 +22,6 @@ use crate::resample::{HALF_WIDTH, Kernel};
 use crate::setting::Setting;
 use crate::specimen::SiteKind;
 use crate::world::BuildOptions;
-use crate::world::noise_free::band_limit;
 
 /// Word in the `source` of files of recorded data.
 const REPLAY: &str = "replay";
@@ -271,7 +271,7 @@ impl BenchmarkWorld for FileWorld {
     }
 
     fn clean(&self, view: &TileView, progress: &dyn Progress) -> Result<Arc<Array2<f32>>> {
-        let pixel_angstrom = 10.0 * self.facts.pixel_nm;
+        let pixel_angstrom = lengths::angstrom(self.facts.pixel_nm);
         if self.has_clean && view.zoom == 1.0 {
             let stride = self.facts.stride_px();
             let [row, column] = view.first_px;
@@ -283,7 +283,8 @@ impl BenchmarkWorld for FileWorld {
         }
         if self.has_clean {
             let text = self.with_file(|file| Ok(file.metadata().recipe.clone()))?;
-            let limit = text.map(|text| recipe(&text)).transpose()?.map(|r| band_limit(&r));
+            let limit =
+                text.map(|text| recipe(&text)).transpose()?.map(|r| r.optics.image_band_limit());
             let kernel = limit.and_then(|limit| Kernel::new(pixel_angstrom, limit).ok());
             if let Some(kernel) = kernel {
                 let clean = |rows, columns| self.stitched(true, rows, columns);

@@ -16,12 +16,13 @@ use crate::imaging::Noise;
 use crate::imaging::{
     MethodChoice, PixelRect, RegionImager, SharedCells, TurnedRaster, overview_image, turned_image,
 };
+use crate::lengths;
+use crate::plane;
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::{CheckedRecipe, OVERVIEW_FACTOR, Recipe, Region, StructureKind};
 use crate::rng::{Purpose, words};
 use crate::setting::Setting;
 use crate::specimen::{ParticleOutline, SiteKind, Specimen, outlines_in, specimen};
-use crate::world::noise_free::band_limit;
 use crate::world::region_truth::{list, phases_of_points};
 use crate::world::{BuildOptions, ColumnTruth, SiteTruth};
 
@@ -153,7 +154,7 @@ impl RecipeSource {
             Some(brightest) => brightest,
             None => self.brightest_of_places(world, progress)?,
         };
-        let electrons = self.facts.dose * (10.0 * self.facts.pixel_nm).powi(2);
+        let electrons = self.facts.dose * lengths::square_angstrom2(self.facts.pixel_nm);
         let noise = if electrons > 0.0 { (brightest / electrons).sqrt() } else { 0.0 };
         Ok([(HEADROOM * brightest + 5.0 * noise).max(f64::MIN_POSITIVE), 0.0])
     }
@@ -187,7 +188,8 @@ impl RecipeSource {
         let imager = imaging.imager_of_many(recipe, specimen, &self.shared)?;
         let mut brightest = 0.0f64;
         for ParticleOutline { centre_nm, .. } in particles {
-            let middle = [1, 0].map(|k| (centre_nm[k] / self.facts.pixel_nm).round() as usize);
+            let middle =
+                plane::swapped(centre_nm).map(|nm| (nm / self.facts.pixel_nm).round() as usize);
             let first = middle.map(|n| n.saturating_sub(PARTICLE_PX / 2));
             let image = imager.mean_of(&PixelRect::new(first, [PARTICLE_PX; 2]), 1, progress)?;
             brightest = image.iter().fold(brightest, |m, v| m.max(*v));
@@ -264,7 +266,7 @@ impl RecipeWorld {
         let image = if view.zoom == 1.0 {
             let first = field.crop_origin_px();
             let mut pixels = view.pixels();
-            pixels.first = [0, 1].map(|k| pixels.first[k] + first[k]);
+            pixels.first = plane::add(pixels.first, first);
             self.imager.mean_of(&pixels, self.configurations(), progress)?
         } else {
             let raster = view.raster(field.pixel_nm(), field.origin_nm());
@@ -291,12 +293,12 @@ impl RecipeWorld {
         }
         let pixel = self.facts.pixel_nm;
         let of_block = self.overview_blocks().pixels(at);
-        let first = [0, 1].map(|k| of_block[k].start);
-        let size = [0, 1].map(|k| of_block[k].len());
+        let first = of_block.each_ref().map(|range| range.start);
+        let size = of_block.each_ref().map(ExactSizeIterator::len);
         let edge_nm = OVERVIEW_FACTOR as f64 * pixel;
         // The raster's spacing is chosen so that frequencies that alias to zero are above this share of the band limit.
-        let highest = HIGHEST_SHARE * band_limit(&self.recipe);
-        let places = (10.0 * edge_nm * highest).ceil().max(1.0) as usize;
+        let highest = HIGHEST_SHARE * self.recipe.optics.image_band_limit();
+        let places = (lengths::angstrom(edge_nm) * highest).ceil().max(1.0) as usize;
         let origin = self.recipe.field.origin_nm();
         let middle = |k: usize| {
             let from_edge = first[k] as f64 + 0.5 * size[k] as f64;
@@ -315,7 +317,7 @@ impl RecipeWorld {
         });
         let noise = Noise {
             seed: self.recipe.seed ^ OVERVIEW_STREAM,
-            electrons_per_pixel: self.facts.dose * (10.0 * edge_nm).powi(2),
+            electrons_per_pixel: self.facts.dose * lengths::square_angstrom2(edge_nm),
             origin_px: first,
             full_width_px: self.overview_shape()[1],
             detector: 0,
@@ -368,17 +370,17 @@ impl BenchmarkWorld for RecipeWorld {
         let shape = self.overview_shape();
         let first = window(position, shape, size);
         let mut out = Array2::zeros([size; 2]);
-        let end = |k: usize| (first[k] + size).min(shape[k]);
+        let end = plane::min(first.map(|n| n + size), shape);
         let blocks = self.overview_blocks();
-        let places = blocks.covering([0, 1].map(|k| first[k]..end(k)));
+        let places = blocks.covering(plane::per_axis(first, end, |first, end| first..end));
         let quiet = InterruptOnly(progress);
         let made: Vec<Arc<Array2<f32>>> =
             places.par_iter().map(|at| self.block(*at, &quiet)).collect::<Result<_>>()?;
         for (place, block) in places.into_iter().zip(made) {
             let of_block = blocks.pixels(place);
-            let start = [0, 1].map(|k| of_block[k].start);
-            let low = [0, 1].map(|k| start[k].max(first[k]));
-            let high = [0, 1].map(|k| of_block[k].end.min(end(k)));
+            let start = of_block.each_ref().map(|range| range.start);
+            let low = plane::max(start, first);
+            let high = plane::min(of_block.map(|range| range.end), end);
             let part = |from: [usize; 2]| {
                 s![low[0] - from[0]..high[0] - from[0], low[1] - from[1]..high[1] - from[1]]
             };
@@ -441,7 +443,7 @@ pub(super) fn truth_of(
 /// Returns the particles that reach into the region.
 fn particles_of(specimen: &dyn Specimen, region: &Region, origin: [f64; 2]) -> Vec<FoundParticle> {
     let particle = |p: &ParticleOutline| FoundParticle {
-        position_nm: [0, 1].map(|k| p.centre_nm[k] - origin[k]),
+        position_nm: plane::sub(p.centre_nm, origin),
         diameter_nm: p.diameter_nm,
         morphology: p.morphology.clone(),
     };

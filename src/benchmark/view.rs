@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::imaging::{PixelRect, TurnedRaster};
+use crate::plane;
 use crate::recipe::Region;
 
 /// Facts of a field that do not change in an episode.
@@ -52,9 +53,8 @@ impl FieldFacts {
 
     /// Returns the tile (row, column) whose middle is nearest to the middle of a view.
     pub(crate) fn tile_of(&self, view: &TileView) -> [usize; 2] {
-        [0, 1].map(|k| {
-            let n = (view.first_px[k] + self.stride_px() / 2) / self.stride_px();
-            n.min(self.grid[k] - 1)
+        plane::per_axis(view.first_px, self.grid, |px, tiles| {
+            ((px + self.stride_px() / 2) / self.stride_px()).min(tiles - 1)
         })
     }
 
@@ -104,14 +104,15 @@ impl TileView {
 
     /// Returns the middle (x, y) of the view in nm from the centre of the field's first pixel.
     pub(crate) fn centre_nm(&self, pixel_nm: f64) -> [f64; 2] {
-        [1, 0].map(|k| (self.first_px[k] as f64 + 0.5 * (self.tile_px as f64 - 1.0)) * pixel_nm)
+        plane::swapped(self.first_px)
+            .map(|px| (px as f64 + 0.5 * (self.tile_px as f64 - 1.0)) * pixel_nm)
     }
 
     /// Returns the pixels of the view, with the field's pixel (0, 0) at `origin_nm` (x, y).
     pub(crate) fn raster(&self, pixel_nm: f64, origin_nm: [f64; 2]) -> TurnedRaster {
         let centre = self.centre_nm(pixel_nm);
         TurnedRaster {
-            centre_nm: [0, 1].map(|k| centre[k] + origin_nm[k]),
+            centre_nm: plane::add(centre, origin_nm),
             pixel_nm: pixel_nm / self.zoom,
             angle_rad: 0.0,
             shape: [self.tile_px; 2],

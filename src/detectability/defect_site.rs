@@ -6,6 +6,7 @@ use super::asked_defect::{AskedDefect, DefectDepth, DefectForm};
 use super::detectability_request::{DetectabilityRequest, column_elements};
 use crate::engine::Site;
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::setting::Setting;
 use crate::simulation::{PreparedSpecimen, SigmaChoice};
 use crate::structure::{ROOM_TEMPERATURE_K, elements, tabulated_sigma_angstrom};
@@ -45,7 +46,8 @@ pub fn pristine(
     if specimen.repeat.is_none() {
         let cell = specimen.prepare(&request.structure)?.size_angstrom;
         let across = |k: usize| ((width / cell[k]).ceil() as usize).max(1);
-        let along = thickness_nm.map_or(1.0, |nm| (10.0 * nm / cell[2]).round().max(1.0));
+        let along =
+            thickness_nm.map_or(1.0, |nm| (lengths::angstrom(nm) / cell[2]).round().max(1.0));
         specimen.repeat = Some([across(0), across(1), along as usize]);
     }
     specimen.prepare(&request.structure)

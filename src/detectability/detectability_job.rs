@@ -15,6 +15,7 @@ use crate::engine::{
     elements, window_for,
 };
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::progress::Progress;
 use crate::setting::Setting;
 use crate::simulation::{PreparedSpecimen, Warning, seconds, threads};
@@ -80,6 +81,12 @@ struct Stage {
     sites: Vec<DefectSite>,
 }
 
+impl Stage {
+    fn thickness_nm(&self) -> f64 {
+        lengths::nm(self.atoms.size_angstrom[2])
+    }
+}
+
 impl DetectabilityJob {
     /// Checks the request, reads the atoms, finds the columns, and plans. Nothing is simulated. `name` names the material in the report.
     ///
@@ -137,7 +144,7 @@ impl DetectabilityJob {
         let first = &self.stages[0];
         Ok(DetectabilityPlan {
             defects: self.request.defects.clone(),
-            thicknesses_nm: self.stages.iter().map(|s| 0.1 * s.atoms.size_angstrom[2]).collect(),
+            thicknesses_nm: self.stages.iter().map(Stage::thickness_nm).collect(),
             columns: first.sites.iter().map(|site| site.composition.clone()).collect(),
             atoms: self.stages.iter().map(|s| s.atoms.sites.len()).collect(),
             engine: first.plan.settings.algorithm.to_string(),
@@ -292,7 +299,7 @@ impl DetectabilityJob {
             let images = DetectorImages {
                 without: pristine.images[n].clone(),
                 with: with.iter().map(|images| images[n].clone()).collect(),
-                moved: [0, 1].map(|k: usize| pristine.moved[k][n].clone()),
+                moved: pristine.moved.each_ref().map(|moved| moved[n].clone()),
                 moved_angstrom: MOVED_ANGSTROM,
             };
             Evaluation::new(&self.request, &images, area).result(detector)
@@ -312,10 +319,10 @@ impl DetectabilityJob {
         let heights = site.variants.iter().flatten();
         DetectabilityCase {
             defect: *defect,
-            thickness_nm: 0.1 * stage.atoms.size_angstrom[2],
+            thickness_nm: stage.thickness_nm(),
             column: site.composition.clone(),
             site_angstrom: site.centre,
-            depths_nm: heights.map(|i| 0.1 * stage.atoms.sites[*i].position[2]).collect(),
+            depths_nm: heights.map(|i| lengths::nm(stage.atoms.sites[*i].position[2])).collect(),
             detectors,
             best_annulus,
             all_rings,
@@ -402,7 +409,7 @@ fn stage(
     let mut width = 2.0 * (request.radius_angstrom + BEYOND_ANGSTROM);
     if let Algorithm::Window { width_angstrom } = first.algorithm {
         let thickness = match thickness_nm {
-            Some(nm) => 10.0 * nm,
+            Some(nm) => lengths::angstrom(nm),
             None => pristine(request, None, 0.0)?.size_angstrom[2],
         };
         let own = Settings { detectors: request.microscope.detectors.clone(), ..settings.clone() };

@@ -189,7 +189,8 @@ impl<'a> Evaluation<'a> {
             image.slice(ndarray::s![..rows, ..]).sum_axis(Axis(0)) / rows as f64
         };
         let middle = mean(&images.without);
-        let slopes = [0, 1].map(|k| (&mean(&images.moved[k]) - &middle) / images.moved_angstrom);
+        let slopes =
+            images.moved.each_ref().map(|moved| (&mean(moved) - &middle) / images.moved_angstrom);
         let fisher = |a: usize, b: usize| -> f64 {
             let one = |n: usize| slopes[a][n] * slopes[b][n] / middle[n].max(f64::MIN_POSITIVE);
             dose * self.area * (0..middle.len()).map(one).sum::<f64>()

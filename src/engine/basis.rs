@@ -128,12 +128,12 @@ struct Candidates<'a> {
 
 impl<'a> Candidates<'a> {
     fn new(probes: &'a [&'a CroppedProbe], half: [f64; 2], step: f64) -> Self {
-        let places = [0, 1].map(|k| {
-            let n = (2.0 * half[k] / step).ceil() as usize + 1;
+        let places = half.map(|half| {
+            let n = (2.0 * half / step).ceil() as usize + 1;
             // Chebyshev points make the errors at the edges as small as inside.
             let place = |i: usize| match n {
                 1 => 0.0,
-                _ => half[k] * (PI * (i as f64 / (n - 1) as f64 - 0.5)).sin(),
+                _ => half * (PI * (i as f64 / (n - 1) as f64 - 0.5)).sin(),
             };
             (0..n).map(place).collect::<Vec<f64>>()
         });

@@ -8,6 +8,7 @@ use super::settings::Algorithm;
 use super::slice_coverage::{SliceCoverage, place};
 use super::stepper::waves_together;
 use crate::optics::foci;
+use crate::plane;
 use crate::structure::Site;
 
 /// Largest number of windows that are examined to estimate how many slices a wave passes.
@@ -178,7 +179,7 @@ fn grid_bytes(grid: &Grid) -> u64 {
 fn shared_bytes(plan: &Plan) -> u64 {
     // Transmission functions continue beyond the cell, so that no window reaches past them.
     let padding = if plan.has_windows() { plan.wave_grid.points } else { [0, 0] };
-    let [nx, ny] = [0, 1].map(|i| plan.transmission_grid.points[i] + padding[i]);
+    let [nx, ny] = plane::add(plan.transmission_grid.points, padding);
     let transmission = (nx * ny * COMPLEX_BYTES * plan.slices.len()) as u64;
     let exit = plan.exit_grid.as_ref().map_or(0, |g| grid_bytes(g) * plan.beams as u64);
     transmission + exit

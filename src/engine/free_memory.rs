@@ -135,8 +135,8 @@ mod tests {
     #[test]
     fn what_no_machine_has_is_refused() {
         if free_memory().is_some() {
-            let told = check_memory(1 << 60, "one thread takes less").unwrap_err().to_string();
-            assert!(told.contains("are free") && told.contains("one thread"), "{told}");
+            let message = check_memory(1 << 60, "one thread takes less").unwrap_err().to_string();
+            assert!(message.contains("are free") && message.contains("one thread"), "{message}");
         }
         check_memory(0, "").unwrap();
     }

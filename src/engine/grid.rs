@@ -1,6 +1,7 @@
 //! Periodic grids in real space, and their frequencies.
 
 use crate::fft::frequency;
+use crate::plane;
 use serde::Serialize;
 
 /// A periodic grid in real space. Arrays on it have `points[1]` rows (y) and `points[0]` columns (x).
@@ -15,7 +16,7 @@ pub struct Grid {
 impl Grid {
     /// Pixel size along x and y in Angstrom.
     pub fn sampling_angstrom(&self) -> [f64; 2] {
-        [0, 1].map(|i| self.extent_angstrom[i] / self.points[i] as f64)
+        plane::div(self.extent_angstrom, self.points.map(|n| n as f64))
     }
 
     /// Shape of the grid's arrays: (rows, columns).
@@ -46,9 +47,8 @@ impl Grid {
     /// contain.
     pub(super) fn common_reach(&self, points: [usize; 2], limit: f64) -> [usize; 2] {
         let dk = self.dk();
-        [0, 1].map(|i| {
-            let most = (self.points[i].min(points[i]) - 1) / 2;
-            ((limit / dk[i]) as usize).min(most)
+        plane::per_axis(plane::min(self.points, points), dk, |n, dk| {
+            ((limit / dk) as usize).min((n - 1) / 2)
         })
     }
 }

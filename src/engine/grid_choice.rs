@@ -5,6 +5,7 @@ use super::settings::{BeyondLimit, GridChoice, POTENTIAL_SAMPLING_ANGSTROM, Sett
 use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::fft::good_size;
+use crate::plane;
 
 /// Band limit of windows in units of their Nyquist frequency. This high fraction is safe in windows, since transmission functions are
 /// band-limited on the fine grid beforehand.
@@ -75,10 +76,10 @@ fn sampled_points(sampling: f64, extent: [f64; 2], multiple: [usize; 2]) -> Resu
         let expected = "must be between 0.0001 and 10";
         return Err(Error::invalid(crate::Setting::SamplingAngstrom, sampling, expected));
     }
-    let least = [0, 1].map(|i| (extent[i] / sampling - 1e-3).ceil() as usize);
+    let least = extent.map(|l| (l / sampling - 1e-3).ceil() as usize);
     // The check comes before the search for a good size: good sizes are rare among large numbers.
     check_count(least)?;
-    Ok([0, 1].map(|i| good_size(least[i], multiple[i])))
+    Ok(plane::per_axis(least, multiple, good_size))
 }
 
 /// A grid `factor` times finer along each axis. By default the factor brings its pixels down to [`POTENTIAL_SAMPLING_ANGSTROM`].

@@ -10,6 +10,7 @@ use super::grid::Grid;
 use super::plan::Plan;
 use super::single_precision::single;
 use crate::fft::{Buffer, Fft2, Scratch, good_size};
+use crate::plane;
 use num_complex::{Complex32, Complex64};
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -79,8 +80,8 @@ impl PaddedBox {
         let along = window.extent_angstrom;
         let highest = |k: usize| ((end * along[k]) as usize).min((window.points[k] - 1) / 2);
         let coarse = [0, 1].map(|k| good_size(2 * highest(k) + 2, 2));
-        let reach = [0, 1].map(|k| {
-            ((times as f64 * along[k] * most_k.min(end)) as usize).min(times * coarse[k] / 2 - 1)
+        let reach = plane::per_axis(along, coarse, |l, n| {
+            ((times as f64 * l * most_k.min(end)) as usize).min(times * n / 2 - 1)
         });
         let weight = |k2: f64| low_pass(k2.sqrt(), full_k);
         let coarse_fft = Fft2::new(coarse[1], coarse[0]);
@@ -267,7 +268,10 @@ impl ProbeSplit {
         let lead = window.points.map(|n| padded.times * n / 2 - n / 2);
         let pixel = window.sampling_angstrom();
         let before = 0.5 * (padded.times - 1) as f64;
-        let shift = [0, 1].map(|k| before * window.extent_angstrom[k] - lead[k] as f64 * pixel[k]);
+        let shift = plane::sub(
+            window.extent_angstrom.map(|l| before * l),
+            plane::mul(lead.map(|n| n as f64), pixel),
+        );
         ProbeSplit {
             lead,
             grid,

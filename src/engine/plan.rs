@@ -11,6 +11,7 @@ use crate::detect::{Detector, DetectorMap, Pattern};
 use crate::error::{Error, Result};
 use crate::fft::{BandLimit, good_size};
 use crate::optics::{Focus, foci};
+use crate::plane;
 use crate::potential::projected::Projection;
 use crate::potential::slices::{FINE_ANGSTROM, GROUP_ANGSTROM, Slices, Slicing};
 use serde::Serialize;
@@ -158,7 +159,7 @@ impl Plan {
             return [0; 2];
         }
         let (shift, pixel) = (self.beam_shift(height), self.wave_grid.sampling_angstrom());
-        [0, 1].map(|k| (shift[k] / pixel[k]).round() as i64)
+        plane::div(shift, pixel).map(|n| n.round() as i64)
     }
 
     /// The plans for each focus of the focal spread, with their weights. Without focal spread there is only this one.
@@ -243,7 +244,7 @@ impl Plan {
         let Algorithm::Prism { interpolation } = self.settings.algorithm else { return Vec::new() };
         let optics = &self.settings.optics;
         let dk: [f64; 2] =
-            [0, 1].map(|i| interpolation[i] as f64 / self.wave_grid.extent_angstrom[i]);
+            plane::div(interpolation.map(|n| n as f64), self.wave_grid.extent_angstrom);
         let radius = optics.semiangle_mrad * 1e-3 / optics.wavelength_angstrom();
         let reach = dk.map(|d| (radius / d) as i64 + 1);
         let mut beams = Vec::new();

@@ -13,6 +13,7 @@ use super::stepper::{SliceStep, StepWorkspace, Stepper, TransmissionView};
 use crate::detect::DetectorMap;
 use crate::error::{Error, Result};
 use crate::fft::{Buffer, Fft2, Scratch};
+use crate::plane;
 use crate::progress::Progress;
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
@@ -60,16 +61,16 @@ impl<'a> Prism<'a> {
         let stepper = Stepper::new(plan);
         let exit = plan.exit_grid.unwrap_or(plan.wave_grid);
         let window = Grid {
-            points: [0, 1].map(|i| exit.points[i] / interpolation[i]),
-            extent_angstrom: [0, 1].map(|i| exit.extent_angstrom[i] / interpolation[i] as f64),
+            points: plane::div(exit.points, interpolation),
+            extent_angstrom: plane::div(exit.extent_angstrom, interpolation.map(|n| n as f64)),
         };
         let dk = exit.dk();
         let beams = plan.prism_beams();
-        let spacing = [0, 1].map(|i| dk[i] * interpolation[i] as f64);
+        let spacing = plane::mul(dk, interpolation.map(|n| n as f64));
         let at_focus = |(weight, at): &(f64, Plan)| {
             let optics = &at.settings.optics;
             let amplitude =
-                |b: &[i64; 2]| optics.transfer([0, 1].map(|i| b[i] as f64 * dk[i]), spacing);
+                |b: &[i64; 2]| optics.transfer(plane::mul(b.map(|n| n as f64), dk), spacing);
             let mut amplitudes: Vec<Complex64> = beams.iter().map(amplitude).collect();
             let norm = amplitudes.iter().map(|a| a.norm_sqr()).sum::<f64>().sqrt();
             amplitudes.iter_mut().for_each(|a| *a /= norm / weight.sqrt());

@@ -6,6 +6,7 @@ use super::probe_patches::{largest_half, window_centre};
 use super::single_precision::single;
 use crate::fft::{Buffer, Fft2, Scratch, frequency};
 use crate::matrix::multiply;
+use crate::plane;
 use num_complex::{Complex32, Complex64};
 use std::f64::consts::PI;
 
@@ -98,9 +99,10 @@ impl CroppedProbe {
         let window = plan.wave_grid;
         let pixel = window.sampling_angstrom();
         let half = largest_half(plan);
-        let beyond = [0, 1].map(|k| ((half[k] + BEYOND_ANGSTROM) / pixel[k]).ceil() as usize);
-        let points = [0, 1].map(|k| window.points[k] + 2 * beyond[k]);
-        let grid = Grid { points, extent_angstrom: [0, 1].map(|k| points[k] as f64 * pixel[k]) };
+        let beyond =
+            plane::div(half.map(|l| l + BEYOND_ANGSTROM), pixel).map(|n| n.ceil() as usize);
+        let points = plane::add(window.points, beyond.map(|n| 2 * n));
+        let grid = Grid { points, extent_angstrom: plane::mul(points.map(|n| n as f64), pixel) };
         let around = low_bins(plan, &grid);
         let amplitudes = in_box(plan, &grid, beyond, &around);
         // The frequencies are counted from the most negative low one.
@@ -116,8 +118,8 @@ impl CroppedProbe {
             let at = |i: usize, k: usize| (frequency(i, grid.points[k]) + reach[k]) as usize;
             (at(b.0, 1), at(b.1, 0))
         };
-        let k = [0, 1].map(|k| {
-            (-wide[k]..=wide[k]).map(|f| f as f64 / grid.extent_angstrom[k]).collect::<Vec<_>>()
+        let k = plane::per_axis(wide, grid.extent_angstrom, |most, length| {
+            (-most..=most).map(|f| f as f64 / length).collect::<Vec<_>>()
         });
         let matrix = |axis: usize| {
             let (n, scale) = (window.points[axis], (points[axis] * window.points[axis]) as f64);
@@ -143,17 +145,14 @@ impl CroppedProbe {
 
     /// Phases of the surroundings' columns and rows that move the probe by `offset` (Angstrom) from the middle of the window.
     pub fn phases(&self, offset: [f64; 2]) -> [Vec<Complex64>; 2] {
-        [0, 1].map(|i| {
-            self.k[i]
-                .iter()
-                .map(|k| Complex64::from_polar(1.0, -2.0 * PI * k * offset[i]))
-                .collect()
+        plane::per_axis(self.k.each_ref(), offset, |k, offset| {
+            k.iter().map(|k| Complex64::from_polar(1.0, -2.0 * PI * k * offset)).collect()
         })
     }
 
     /// The distance (x, y) in Angstrom of a position in the window from its middle.
     pub fn offset(&self, position: [f64; 2]) -> [f64; 2] {
-        [0, 1].map(|k| position[k] - self.centre[k])
+        plane::sub(position, self.centre)
     }
 
     /// The window's coefficients, bin by bin, of the probe at `position` (Angstrom, from the first pixel of the window).
@@ -242,8 +241,8 @@ fn in_box(plan: &Plan, grid: &Grid, beyond: [usize; 2], bins: &[(usize, usize)])
     let large = probe_grid(plan);
     let lens = aperture(plan, &large);
     let pixel = grid.sampling_angstrom();
-    let scale = [0, 1].map(|k| ((grid.points[k] * large.points[k]) as f64).sqrt());
-    let middle = [0, 1].map(|k| beyond[k] + (grid.points[k] - 2 * beyond[k]) / 2);
+    let scale = plane::mul(grid.points, large.points).map(|n| (n as f64).sqrt());
+    let middle = plane::per_axis(grid.points, beyond, |n, beyond| beyond + (n - 2 * beyond) / 2);
     let wanted = [0, 1].map(|k| distinct(bins.iter().map(|b| [b.1, b.0][k])));
     let held = [0, 1].map(|k| distinct(lens.iter().map(|((y, x), _)| [*x, *y][k])));
     let kernel = |axis: usize, from: usize, to: usize| {
@@ -332,8 +331,8 @@ pub(super) fn repeated(plan: &Plan, cell: &Grid) -> Grid {
         cells.into_iter().find(|n| *n as f64 * l >= PROBE_BOX_ANGSTROM).unwrap_or(20)
     });
     Grid {
-        points: [0, 1].map(|k| cell.points[k] * times[k]),
-        extent_angstrom: [0, 1].map(|k| cell.extent_angstrom[k] * times[k] as f64),
+        points: plane::mul(cell.points, times),
+        extent_angstrom: plane::mul(cell.extent_angstrom, times.map(|n| n as f64)),
     }
 }
 
@@ -347,7 +346,7 @@ pub(super) fn probe_in_box(
     scratch: &mut Scratch,
 ) -> Buffer {
     let phases =
-        [0, 1].map(|i| shift_phases(position[i] / grid.extent_angstrom[i], grid.points[i]));
+        plane::per_axis(plane::div(position, grid.extent_angstrom), grid.points, shift_phases);
     let mut wave = fft.buffer();
     for ((iy, ix), a) in aperture(plan, grid) {
         wave[iy * fft.stride() + ix] = single(a * phases[0][ix] * phases[1][iy]);

@@ -3,6 +3,7 @@
 use super::plan::Plan;
 use super::probe_scan::{ProbePlaces, Scan};
 use super::settings::Expansion;
+use crate::plane;
 use crate::resample::image_band_limit;
 use std::ops::Range;
 
@@ -145,10 +146,12 @@ fn single_patches(plan: &Plan, positions: &[[f64; 2]]) -> Vec<Patch> {
     let (cell, grid) = (&plan.transmission_grid, &plan.wave_grid);
     let pixel = grid.sampling_angstrom();
     let patch = |(i, position): (usize, [f64; 2])| {
-        let first =
-            [0, 1].map(|k| (position[k] / pixel[k]).round() as i64 - grid.points[k] as i64 / 2);
+        let first = plane::sub(
+            plane::div(position, pixel).map(|n| n.round() as i64),
+            grid.points.map(|n| n as i64 / 2),
+        );
         let wrap = |k: usize| first[k].rem_euclid(cell.points[k] as i64) as usize;
-        let local = [0, 1].map(|k| position[k] - first[k] as f64 * pixel[k]);
+        let local = plane::sub(position, plane::mul(first.map(|n| n as f64), pixel));
         Patch { origin: (wrap(1), wrap(0)), probes: vec![(i, local)] }
     };
     positions.iter().enumerate().map(probe).map(patch).collect()
@@ -179,7 +182,7 @@ fn patches(plan: &Plan, scan: &Scan, most: f64) -> Vec<Patch> {
             });
             let local = |i: usize| {
                 let position = scan.position(i);
-                (i, [0, 1].map(|k| position[k] - first[k] as f64 * pixel[k]))
+                (i, plane::sub(position, plane::mul(first.map(|n| n as f64), pixel)))
             };
             patches
                 .push(Patch { origin: (wrap(1), wrap(0)), probes: indices.map(local).collect() });
@@ -197,7 +200,7 @@ pub(super) fn blocks(lines: usize, step: f64, most: f64) -> Vec<Range<usize>> {
 /// The middle of a window in Angstrom, counted from its first pixel.
 pub(super) fn window_centre(plan: &Plan) -> [f64; 2] {
     let pixel = plan.wave_grid.sampling_angstrom();
-    [0, 1].map(|i| (plan.wave_grid.points[i] / 2) as f64 * pixel[i])
+    plane::mul(plan.wave_grid.points.map(|n| (n / 2) as f64), pixel)
 }
 
 #[cfg(test)]

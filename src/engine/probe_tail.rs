@@ -16,6 +16,7 @@ use crate::constants::interaction_parameter;
 use crate::detect::Detector;
 use crate::error::Result;
 use crate::fft::{Buffer, Fft2, Scratch, frequency, good_size};
+use crate::plane;
 use crate::potential::cores::cross_section;
 use crate::potential::scattering::ScatteringFactor;
 use crate::structure::Site;
@@ -136,7 +137,7 @@ impl<'a> ProbeTail<'a> {
         let patches = ProbePatches::new(plan, places);
         let (centre, half) = (window_centre(plan), patches.half(plan));
         let number = half.map(|h| (2.0 * h / ALIKE_ANGSTROM).ceil().max(1.0));
-        let width = [0, 1].map(|k| 2.0 * half[k] / number[k]);
+        let width = plane::per_axis(half, number, |half, n| 2.0 * half / n);
         let mut classes: BTreeMap<[i64; 2], Vec<usize>> = BTreeMap::new();
         for (i, position) in patches.patches.iter().flat_map(|p| &p.probes) {
             let class = [0, 1].map(|k| {
@@ -145,7 +146,7 @@ impl<'a> ProbeTail<'a> {
             });
             classes.entry(class).or_default().push(*i);
         }
-        let offset = |c: [i64; 2]| [0, 1].map(|k| (c[k] as f64 + 0.5) * width[k] - half[k]);
+        let offset = |c: [i64; 2]| plane::sub(plane::mul(c.map(|n| n as f64 + 0.5), width), half);
         classes.into_iter().map(|(class, probes)| (offset(class), probes)).collect()
     }
 
@@ -155,7 +156,7 @@ impl<'a> ProbeTail<'a> {
         let around = &self.around;
         let (window, centre) = (&plan.wave_grid, window_centre(plan));
         // The window begins at the origin of the box.
-        let position = [0, 1].map(|k| centre[k] + offset[k]);
+        let position = plane::add(centre, offset);
         let mut wave = probe_in_box(plan, &around.grid, position, &around.fft, scratch);
         let (columns, rows) = (around.share_within(window, 0), around.share_within(window, 1));
         for (row, y) in wave.chunks_exact_mut(around.fft.stride()).zip(&rows) {
@@ -300,7 +301,7 @@ impl TailGrid {
     /// The grid points (row, column) around a position in Angstrom, with their weights in linear interpolation.
     fn between(&self, position: [f64; 2]) -> impl Iterator<Item = (usize, usize, f64)> {
         let pixel = self.grid.sampling_angstrom();
-        let place = [0, 1].map(|k| position[k] / pixel[k]);
+        let place = plane::div(position, pixel);
         let axis = |k: usize| {
             let (first, rest) = (place[k].floor(), place[k] - place[k].floor());
             let n = self.grid.points[k] as i64;

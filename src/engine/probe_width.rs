@@ -1,6 +1,7 @@
 //! The width of the probe inside the specimen, compared with the width of windows, crops and cells.
 
 use super::settings::{Algorithm, Settings};
+use crate::plane;
 
 /// Width in Angstrom of a window whose error is 0.8 % in focus, at the wavelength and semiangle of the measurements.
 const USUAL_WINDOW_ANGSTROM: f64 = 7.8;
@@ -93,7 +94,7 @@ pub(super) fn narrow_crop(
     let (crop, what) = match settings.algorithm {
         Algorithm::Window { .. } => (wave, "each window"),
         Algorithm::Prism { interpolation } if interpolation != [1, 1] => {
-            ([0, 1].map(|k| cell[k] / interpolation[k] as f64), "PRISM's crop of each probe")
+            (plane::div(cell, interpolation.map(|n| n as f64)), "PRISM's crop of each probe")
         }
         _ => return None,
     };
@@ -152,16 +153,16 @@ mod tests {
     #[test]
     fn a_defocused_probe_needs_a_wider_crop() {
         let prism = |factor| Algorithm::Prism { interpolation: [factor; 2] };
-        let told =
+        let warned =
             |factor, defocus| narrow_crop(&settings(prism(factor), defocus), CELL, CELL, 16.0);
         // 300 A times 21 mrad on either side, and an Airy disk of 1.5 A: 14.1 A
-        let warning = told(4, 300.0).unwrap();
+        let warning = warned(4, 300.0).unwrap();
         for part in ["9.8 A wide", "probe is 14.1 A wide", "20.4 A", "interpolation 1 along x"] {
             assert!(warning.contains(part), "{part}: {warning}");
         }
-        assert_eq!(told(2, 300.0), None);
-        assert_eq!(told(4, 0.0), None);
-        assert_eq!(told(1, 300.0), None);
+        assert_eq!(warned(2, 300.0), None);
+        assert_eq!(warned(4, 0.0), None);
+        assert_eq!(warned(1, 300.0), None);
     }
 
     #[test]

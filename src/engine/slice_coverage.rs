@@ -6,6 +6,7 @@
 use super::grid::Grid;
 use super::phonons::displaced;
 use super::plan::Plan;
+use crate::plane;
 use crate::potential::projected::{PlacedAtom, Projection};
 use crate::structure::Site;
 
@@ -146,7 +147,7 @@ impl SliceCoverage {
         let origin = [origin.1 as f64, origin.0 as f64];
         let start = [0, 1].map(|k| (origin[k] - reach[k]).rem_euclid(cell[k]));
         let from = |atom: &[f64; 3], k: usize| (atom[k] - start[k]).rem_euclid(cell[k]);
-        let most = [0, 1].map(|k| self.window[k] as f64 + 2.0 * reach[k]);
+        let most = plane::per_axis(self.window, reach, |n, reach| n as f64 + 2.0 * reach);
         let off_middle = |atom: &[f64; 3]| {
             let off = [0, 1].map(|k| (from(atom, k) - 0.5 * most[k]) * pixel[k]);
             off[0].powi(2) + off[1].powi(2)

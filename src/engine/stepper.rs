@@ -12,6 +12,7 @@ use super::plan::Plan;
 use super::slice_coverage::LocalSlice;
 use super::transmission::{Transmission, TransmissionLayout};
 use crate::fft::{BandLimit, BandLimitedMultiplier, Buffer, Fft2, Scratch, lanes};
+use crate::plane;
 use num_complex::Complex32;
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
@@ -111,7 +112,7 @@ impl Stepper {
         for LocalSlice { first, last, height_angstrom } in slices {
             // Windows move with the beam's place at the first slice of a step; the propagator includes this.
             let plane = (height_angstrom, self.window_moves[first]);
-            let pixels = [0, 1].map(|k| plane.1[k] - at.1[k]);
+            let pixels = plane::sub(plane.1, at.1);
             let propagator = self.propagator_index(plane.0 - at.0, pixels);
             steps.push(SliceStep { first, last, propagator, moved: plane.1 });
             at = plane;

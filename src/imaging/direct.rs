@@ -4,16 +4,20 @@ use std::sync::Arc;
 
 use ndarray::{Array2, s};
 
-use super::displaced_atoms::{DisplacedAtoms, displaced_by_seed, mean_atoms, with_layers};
+use super::displaced_atoms::{
+    DisplacedAtoms, FrozenPhonons, displaced_by_seed, mean_atoms, with_layers,
+};
 use super::imaging_cost::{ImagingCost, SimulationRuns};
 use super::pixels::{PixelBox, PixelRect};
 use super::region_imager::{
     DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, RegionImager, SharedLibrary,
 };
 use super::simulator::Simulator;
-use super::turned_raster::{TurnedRaster, between_probes};
+use super::turned_raster::{SpecimenAround, TurnedRaster, between_probes};
 use crate::engine::PlannedScan;
 use crate::error::Result;
+use crate::lengths;
+use crate::plane;
 use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::image_band_limit;
@@ -62,7 +66,7 @@ impl DirectImager {
     /// Thickness in nm of the specimen with the layers on its faces.
     fn thickness_nm(&self) -> f64 {
         let specimen = self.specimen.facts().thickness_nm;
-        self.layers.as_ref().map_or(specimen, |layers| 0.1 * layers.thickness_angstrom())
+        self.layers.as_ref().map_or(specimen, |layers| layers.thickness_nm())
     }
 
     fn simulate(
@@ -109,17 +113,17 @@ pub(crate) fn rectangle_plan(
     let first = field.crop_origin_px();
     let mut somewhere = Region::of_pixels(first, [rows, columns], pixel);
     let heights = |region: &Region| -> Vec<f64> {
-        specimen.sites(region).iter().map(|s| 10.0 * s.position_nm[2]).collect()
+        specimen.sites(region).iter().map(|s| lengths::angstrom(s.position_nm[2])).collect()
     };
     let mut z = heights(&somewhere);
     if z.is_empty() {
         // Specimens with empty corners have atoms in the middle.
         let built = field.pixels(field.built_grid());
         let half = [built[0].saturating_sub(rows) / 2, built[1].saturating_sub(columns) / 2];
-        somewhere = Region::of_pixels([0, 1].map(|k| first[k] + half[k]), [rows, columns], pixel);
+        somewhere = Region::of_pixels(plane::add(first, half), [rows, columns], pixel);
         z = heights(&somewhere);
     }
-    let mut thickness = 10.0 * specimen.facts().thickness_nm;
+    let mut thickness = specimen.facts().thickness_angstrom();
     if let Some(layers) = SurfaceLayers::of(recipe, specimen.facts().thickness_nm) {
         for layer in layers.layers() {
             let heights = layer.atoms(&somewhere).into_iter().map(|s| s.position[2]);
@@ -128,9 +132,9 @@ pub(crate) fn rectangle_plan(
         z.iter_mut().for_each(|z| *z += layers.before_angstrom());
         thickness = layers.thickness_angstrom();
     }
-    let size = [columns, rows].map(|n| 10.0 * pixel * n as f64);
+    let size = [columns, rows].map(|n| field.pixel_angstrom() * n as f64);
     let plan = simulator.plan(size, thickness, &z)?;
-    let probes = simulator.probes(&plan, [rows, columns], 10.0 * pixel)?;
+    let probes = simulator.probes(&plan, [rows, columns], field.pixel_angstrom())?;
     let scan = *probes.scan();
     Ok((SimulationRuns::new(PlannedScan::new(plan, scan, None), runs), scan.step_angstrom))
 }
@@ -190,7 +194,10 @@ impl RegionImager for DirectImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Vec<Array2<f64>>>> {
-        let around = (self.simulator.margin_angstrom(), self.thickness_nm());
+        let around = SpecimenAround {
+            margin_angstrom: self.simulator.margin_angstrom(),
+            thickness_nm: self.thickness_nm(),
+        };
         let band_limit = image_band_limit(&self.simulator.settings().optics);
         let places = raster.places_angstrom();
         let all = between_probes(&places, band_limit, around, |pixels| {
@@ -205,7 +212,7 @@ impl RegionImager for DirectImager {
     }
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
-        let which = (self.recipe.seed, configuration);
+        let which = FrozenPhonons { seed: self.recipe.seed, configuration };
         let atoms = displaced_by_seed(&*self.specimen, area, which, &self.recipe.phonons);
         let slope = self.simulator.settings().optics.slope();
         match &self.layers {

@@ -27,11 +27,26 @@ pub fn mean_atoms(specimen: &dyn Specimen, area: &Region, phonons: &PhononTable)
     sites.iter().filter_map(|s| s.atom(corner, phonons)).collect()
 }
 
-/// The atoms of `area` in phonon configuration `configuration`, displaced by (seed, configuration, key of the atom).
+/// A phonon configuration, which with the key of an atom decides the displacement of the atom.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FrozenPhonons {
+    /// Seed of the recipe.
+    pub seed: u64,
+    /// Number of the configuration.
+    pub configuration: usize,
+}
+
+impl FrozenPhonons {
+    fn displaced(self, atom: &Site) -> [f64; 3] {
+        displaced(atom, self.seed, self.configuration as u32)
+    }
+}
+
+/// The atoms of `area` in a phonon configuration.
 pub(crate) fn displaced_by_seed(
     specimen: &dyn Specimen,
     area: &Region,
-    which: (u64, usize),
+    which: FrozenPhonons,
     phonons: &PhononTable,
 ) -> DisplacedAtoms {
     displaced_atoms(specimen, area, which, phonons, |_| None::<fn(usize) -> [f64; 3]>)
@@ -42,7 +57,7 @@ pub(crate) fn displaced_by_seed(
 pub(crate) fn displaced_atoms<M: Fn(usize) -> [f64; 3]>(
     specimen: &dyn Specimen,
     area: &Region,
-    (seed, configuration): (u64, usize),
+    which: FrozenPhonons,
     phonons: &PhononTable,
     of_column: impl Fn(&AtomColumn) -> Option<M>,
 ) -> DisplacedAtoms {
@@ -61,7 +76,7 @@ pub(crate) fn displaced_atoms<M: Fn(usize) -> [f64; 3]>(
                     let moved = moved(n);
                     std::array::from_fn(|k| mean[k] + sigma * moved[k])
                 }
-                None => displaced(&atom, seed, configuration as u32),
+                None => which.displaced(&atom),
             };
             atoms.sites.push(Site { position, sigma_angstrom: 0.0, ..atom });
             atoms.heights.push(mean[2]);
@@ -76,12 +91,12 @@ pub(crate) fn with_layers(
     layers: &SurfaceLayers,
     mut atoms: DisplacedAtoms,
     area: &Region,
-    (seed, configuration): (u64, usize),
+    which: FrozenPhonons,
     slope: [f64; 2],
 ) -> DisplacedAtoms {
     for layer in layers.layers() {
         for atom in layer.atoms(area) {
-            let position = displaced(&atom, seed, configuration as u32);
+            let position = which.displaced(&atom);
             atoms.heights.push(layer.slice_height_angstrom(atom.position[2]));
             atoms.sites.push(Site { position, sigma_angstrom: 0.0, ..atom });
         }

@@ -52,7 +52,7 @@ impl Noise {
     /// field.
     pub(crate) fn new(recipe: &Recipe, dose: f64, first: [usize; 2]) -> Self {
         let field = &recipe.field;
-        let pixel_angstrom = 10.0 * field.pixel_nm();
+        let pixel_angstrom = field.pixel_angstrom();
         Noise {
             seed: recipe.seed,
             electrons_per_pixel: dose * pixel_angstrom * pixel_angstrom,

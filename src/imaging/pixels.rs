@@ -3,6 +3,7 @@
 use ndarray::Array2;
 
 use crate::engine::Scan;
+use crate::lengths;
 use crate::recipe::region::Region;
 
 /// A rectangle of pixels of the full field, or every `stride`-th pixel of it.
@@ -63,19 +64,20 @@ pub struct PixelBox {
 impl PixelBox {
     /// The pixels of a rectangle with `margin_angstrom` of specimen around.
     pub fn new(pixels: &PixelRect, pixel_nm: f64, margin_angstrom: f64, thickness_nm: f64) -> Self {
-        let margin_nm = 0.1 * margin_angstrom;
+        let (margin_nm, pixel_angstrom) =
+            (lengths::nm(margin_angstrom), lengths::angstrom(pixel_nm));
         let scan = Scan {
-            origin_angstrom: [10.0 * margin_nm + 5.0 * pixel_nm; 2],
-            step_angstrom: [10.0 * pixel_nm * pixels.stride as f64; 2],
+            origin_angstrom: [lengths::angstrom(margin_nm) + 0.5 * pixel_angstrom; 2],
+            step_angstrom: [pixel_angstrom * pixels.stride as f64; 2],
             shape: pixels.sampled_shape(),
         };
         let area = pixels.region(pixel_nm).grown(margin_nm);
-        Self::of_area(area, scan, 10.0 * thickness_nm)
+        Self::of_area(area, scan, lengths::angstrom(thickness_nm))
     }
 
     /// A scan of an area of a specimen.
     pub(crate) fn of_area(area: Region, scan: Scan, thickness_angstrom: f64) -> Self {
-        let size = |r: [f64; 2]| 10.0 * (r[1] - r[0]);
-        PixelBox { size_angstrom: [size(area.x), size(area.y), thickness_angstrom], area, scan }
+        let [width, height] = area.size_angstrom();
+        PixelBox { size_angstrom: [width, height, thickness_angstrom], area, scan }
     }
 }

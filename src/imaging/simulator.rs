@@ -9,6 +9,7 @@ use crate::engine::{
 use crate::error::{Error, Result};
 use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::imaging::pixels::PixelBox;
+use crate::lengths;
 use crate::potential::slices::Slicing;
 use crate::progress::Progress;
 use crate::progress::ProgressShare;
@@ -37,7 +38,7 @@ const ACCURACY_PERCENT: f64 = 0.8;
 pub(crate) fn default_window(recipe: &Recipe) -> Result<WindowChoice> {
     let algorithm = Algorithm::Window { width_angstrom: WINDOW_ANGSTROM };
     let simulator = Simulator::new(recipe, algorithm);
-    let thickness_angstrom = recipe.field.thickness_nm * 10.0;
+    let thickness_angstrom = recipe.field.thickness_angstrom();
     window_for(ACCURACY_PERCENT, simulator.settings(), thickness_angstrom)
 }
 
@@ -58,7 +59,7 @@ impl Simulator {
         let optics = recipe.optics.optics();
         // Where pixels need no probes between them, they need no probes beyond the edge of the area either.
         let coarse =
-            10.0 * recipe.field.pixel_nm() >= Kernel::default_step(image_band_limit(&optics));
+            recipe.field.pixel_angstrom() >= Kernel::default_step(image_band_limit(&optics));
         let detectors = recipe.detector.all();
         let settings = Settings {
             direct_beam: detectors.iter().any(|detector| sees_tail(detector, &optics)),
@@ -258,12 +259,12 @@ impl Simulator {
     /// [`Error::Invalid`].
     pub(crate) fn check_margin(&self) -> Result<()> {
         let margin = self.margin_angstrom();
-        if (0.0..=(BEYOND_FIELD_NM - DISPLACED_NM) * 10.0).contains(&margin) {
+        if (0.0..=lengths::angstrom(BEYOND_FIELD_NM - DISPLACED_NM)).contains(&margin) {
             return Ok(());
         }
         let expected = format!(
             "expected a smaller margin: the specimen extends {} A beyond the field",
-            BEYOND_FIELD_NM * 10.0
+            lengths::angstrom(BEYOND_FIELD_NM)
         );
         Err(Error::invalid(crate::Setting::EngineMarginAngstrom, margin, expected))
     }

@@ -14,6 +14,7 @@ use super::region_imager::{
 use super::turned_raster::TurnedRaster;
 use crate::engine::{Scan, Source, SourceBlur};
 use crate::error::Result;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{Recipe, Region};
 
@@ -27,7 +28,7 @@ pub(crate) struct SourceImager {
 impl SourceImager {
     /// Blurs an imager by the recipe's source, or returns it unchanged for a point source.
     pub(crate) fn blurring(inner: Box<dyn RegionImager>, recipe: &Recipe) -> Box<dyn RegionImager> {
-        let pixel_angstrom = 10.0 * recipe.field.pixel_nm();
+        let pixel_angstrom = recipe.field.pixel_angstrom();
         match recipe.optics.source() {
             Some(source) => Box::new(SourceImager { inner, source, pixel_angstrom }),
             None => inner,
@@ -49,12 +50,12 @@ pub(crate) fn blurred(
     let blur = SourceBlur::new(source, &scan, [f64::INFINITY; 2])?;
     let [x, y] = blur.margin();
     let margin = [y, x];
-    let before = [0, 1].map(|k| margin[k].min(pixels.first[k]));
+    let before = plane::min(margin, pixels.first);
     let wide = PixelRect::new(
-        [0, 1].map(|k| pixels.first[k] - before[k]),
-        [0, 1].map(|k| pixels.shape[k] + before[k] + margin[k]),
+        plane::sub(pixels.first, before),
+        plane::add(plane::add(pixels.shape, before), margin),
     );
-    let lacks = [0, 1].map(|k| margin[k] - before[k]);
+    let lacks = plane::sub(margin, before);
     let blurred = |image: Array2<f64>| {
         let image = if lacks == [0, 0] { image } else { mirrored(&image, lacks) };
         pixels.sampled(blur.blurred(image))

@@ -6,10 +6,11 @@ use super::pixels::{PixelBox, PixelRect};
 use super::region_imager::{DetectorChoice, RasterDetail, RegionImager};
 use crate::engine::Scan;
 use crate::error::{Error, Result};
-use crate::optics::Optics;
+use crate::lengths;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
-use crate::resample::{HALF_WIDTH, Kernel, TAPS, image_band_limit};
+use crate::resample::{HALF_WIDTH, Kernel, TAPS};
 use crate::setting::Setting;
 
 /// Places are accurate to this distance, in nm.
@@ -71,13 +72,18 @@ impl TurnedRaster {
         self.shape.map(|n| 0.5 * (n as f64 - 1.0))
     }
 
+    /// Edge of a pixel in Angstrom.
+    pub(crate) fn pixel_angstrom(&self) -> f64 {
+        lengths::angstrom(self.pixel_nm)
+    }
+
     /// The places of all pixels in Angstrom, row by row.
     pub(super) fn places_angstrom(&self) -> Vec<[f64; 2]> {
         let [rows, columns] = self.shape;
         let place = self.places_nm();
         let pixels = 0..rows * columns;
         pixels
-            .map(|n| place((n / columns) as f64, (n % columns) as f64).map(|nm| 10.0 * nm))
+            .map(|n| lengths::angstrom(place((n / columns) as f64, (n % columns) as f64)))
             .collect()
     }
 }
@@ -177,7 +183,7 @@ fn from_pixels(
     (configurations, progress): (usize, &dyn Progress),
 ) -> Result<Vec<Array2<f64>>> {
     let (pixel, full) = (recipe.field.pixel_nm(), recipe.field.pixels(recipe.field.grid));
-    let kernel = Kernel::new(10.0 * pixel, band_limit(recipe))?;
+    let kernel = Kernel::new(lengths::angstrom(pixel), recipe.optics.image_band_limit())?;
     let region = raster.region();
     let range = |[low, high]: [f64; 2], n: usize| {
         let last = ((high / pixel).ceil() as usize + HALF_WIDTH + 1).max(TAPS).min(n);
@@ -191,20 +197,10 @@ fn from_pixels(
     let first = [columns[0], rows[0]].map(|n| 10.0 * n as f64 * pixel);
     let places = raster.places_angstrom();
     let image = |values: Array2<f64>| {
-        let samples = ScannedSamples { values, first, step: 10.0 * pixel };
+        let samples = ScannedSamples { values, first, step: lengths::angstrom(pixel) };
         Array2::from_shape_vec(raster.shape, samples.at(&places, &kernel)).unwrap_or_default()
     };
     Ok(all.into_iter().map(image).collect())
-}
-
-/// Highest frequency in images of a recipe, in 1/Angstrom.
-fn band_limit(recipe: &CheckedRecipe) -> f64 {
-    let optics = &recipe.optics;
-    image_band_limit(&Optics {
-        energy_ev: 1e3 * optics.energy_kv,
-        semiangle_mrad: optics.convergence_mrad,
-        ..Optics::default()
-    })
 }
 
 /// Samples of an image, [row, column], in Angstrom of the full field.
@@ -221,7 +217,7 @@ impl ScannedSamples {
     pub(super) fn at(&self, places: &[[f64; 2]], kernel: &Kernel) -> Vec<f64> {
         let (rows, columns) = self.values.dim();
         let value = |place: &[f64; 2]| {
-            let [x, y] = [0, 1].map(|k| (place[k] - self.first[k]) / self.step);
+            let [x, y] = plane::sub(*place, self.first).map(|d| d / self.step);
             let (across, down) =
                 (kernel.weights_within(x, columns), kernel.weights_within(y, rows));
             let (row, column) = (down.first as usize, across.first as usize);
@@ -235,18 +231,27 @@ impl ScannedSamples {
     }
 }
 
+/// The specimen around a scan that is simulated.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SpecimenAround {
+    /// Width of the specimen on each side of the scan.
+    pub margin_angstrom: f64,
+    /// Thickness of the specimen.
+    pub thickness_nm: f64,
+}
+
 /// The values of images at places (x, y) in Angstrom of the full field, interpolated from probes that `simulate` propagates around them. The
-/// scan is
-/// as fine as the image's band limit (1/Angstrom) needs, with `margin_angstrom` of specimen around it.
+/// scan is as fine as the image's band limit (1/Angstrom) needs.
 ///
 /// # Errors
 /// Errors of `simulate`.
 pub(super) fn between_probes(
     places: &[[f64; 2]],
     band_limit: f64,
-    (margin_angstrom, thickness_nm): (f64, f64),
+    around: SpecimenAround,
     simulate: impl FnOnce(&PixelBox) -> Result<Vec<Array2<f64>>>,
 ) -> Result<Vec<Vec<f64>>> {
+    let SpecimenAround { margin_angstrom, thickness_nm } = around;
     let step = Kernel::default_step(band_limit);
     let kernel = Kernel::new(step, band_limit)?;
     let range = |k: usize| {
@@ -262,7 +267,7 @@ pub(super) fn between_probes(
     let ((x, columns), (y, rows)) = (range(0), range(1));
     let edges = |first: f64, n: usize| {
         let last = first + (n as f64 - 1.0) * step;
-        [0.1 * (first - margin_angstrom), 0.1 * (last + margin_angstrom)]
+        lengths::nm([first - margin_angstrom, last + margin_angstrom])
     };
     let area = Region { x: edges(x, columns), y: edges(y, rows) };
     let scan = Scan {
@@ -270,7 +275,7 @@ pub(super) fn between_probes(
         step_angstrom: [step; 2],
         shape: [rows, columns],
     };
-    let images = simulate(&PixelBox::of_area(area, scan, 10.0 * thickness_nm))?;
+    let images = simulate(&PixelBox::of_area(area, scan, lengths::angstrom(thickness_nm)))?;
     let at = |values| ScannedSamples { values, first: [x, y], step }.at(places, &kernel);
     Ok(images.into_iter().map(at).collect())
 }

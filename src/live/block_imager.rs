@@ -12,6 +12,7 @@ use crate::imaging::region_imager::{
 };
 use crate::imaging::source_imager::margin_px;
 use crate::imaging::{DisplacedAtoms, ImagingCost, PixelRect, RegionImager, TurnedRaster};
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::specimen::{DamagedSpecimen, Specimen};
@@ -64,7 +65,7 @@ impl BlockImager {
         bytes: usize,
     ) -> Result<Self> {
         let pixel_nm = recipe.field.pixel_nm();
-        let blurred = |source| margin_px(source, 10.0 * pixel_nm);
+        let blurred = |source| margin_px(source, recipe.field.pixel_angstrom());
         let margin_px = recipe.optics.source().map(blurred).transpose()?.unwrap_or(0);
         Ok(BlockImager {
             inner,
@@ -102,14 +103,14 @@ impl BlockImager {
     fn rect(&self, block: [usize; 2]) -> PixelRect {
         let full = self.recipe.field.pixels(self.recipe.field.grid);
         let first = block.map(|b| b * BLOCK_PX);
-        PixelRect::new(first, [0, 1].map(|k| BLOCK_PX.min(full[k] - first[k])))
+        PixelRect::new(first, plane::sub(full, first).map(|n| n.min(BLOCK_PX)))
     }
 
     /// Pixels with the margin that the blur of the source needs.
     fn with_margin(&self, pixels: &PixelRect) -> PixelRect {
         let first = pixels.first.map(|n| n.saturating_sub(self.margin_px));
-        let end = [0, 1].map(|k| pixels.first[k] + pixels.shape[k] + self.margin_px);
-        PixelRect::new(first, [0, 1].map(|k| end[k] - first[k]))
+        let end = plane::add(pixels.first, pixels.shape).map(|n| n + self.margin_px);
+        PixelRect::new(first, plane::sub(end, first))
     }
 
     /// The area of pixels and everything within a window of them, in nm of the full field.
@@ -212,8 +213,9 @@ impl RegionImager for BlockImager {
             for column in blocks(1) {
                 let part = self.block([row, column], progress)?;
                 let start = [row, column].map(|b| b * BLOCK_PX);
-                let low = [0, 1].map(|k| start[k].max(first[k]));
-                let high = [0, 1].map(|k| (start[k] + part.shape()[k]).min(first[k] + shape[k]));
+                let low = plane::max(start, first);
+                let high =
+                    plane::min(plane::add(start, part.dim().into()), plane::add(first, shape));
                 let own = |from: [usize; 2]| {
                     let range = |k: usize| low[k] - from[k]..high[k] - from[k];
                     [range(0), range(1)]

@@ -59,8 +59,7 @@ impl LiveWorld {
         check_recordings(count)?;
         let request = LiveRequest { keep_frames: false, ..*request };
         let RecordedPart { centre_nm, size_nm, .. } = request.part;
-        let edges = [0, 1].map(|k| [-0.5, 0.5].map(|half| centre_nm[k] + half * size_nm[k]));
-        let place = Region { x: edges[0], y: edges[1] };
+        let place = Region::centred(centre_nm, size_nm);
         progress.start("recording", "recording", count as u64);
         let mut series: Option<DoseSeries> = None;
         for number in 0..count {

@@ -10,6 +10,8 @@ use super::live_world::{LiveRequest, LiveWorld};
 use crate::acquisition::{Acquisition, Exposure, Profile, ScanFrame, ScanPath};
 use crate::error::{Error, Result};
 use crate::imaging::displaced_atoms::mean_atoms;
+use crate::lengths;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::Region;
 use crate::setting::Setting;
@@ -133,18 +135,17 @@ impl LiveWorld {
         patterns: &PatternsRequest,
     ) -> SimulationRequest {
         let recipe = self.recipe();
-        let thickness_angstrom = 10.0 * self.specimen_thickness_nm();
+        let thickness_angstrom = lengths::angstrom(self.specimen_thickness_nm());
         let microscope = MicroscopeRequest::of_recipe(recipe);
         let window = pattern_window_angstrom(&microscope, thickness_angstrom);
-        let margin_nm = 0.1 * (0.5 * window + POTENTIAL_REACH_ANGSTROM);
+        let margin_nm = lengths::nm(0.5 * window + POTENTIAL_REACH_ANGSTROM);
         let area = probes(frame).grown(margin_nm);
-        let edge = |ends: [f64; 2]| 10.0 * (ends[1] - ends[0]) + GAP_ANGSTROM;
+        let [width, height] = area.size_angstrom().map(|edge| edge + GAP_ANGSTROM);
         let moved = |[x, y, z]: [f64; 3]| [x + 0.5 * GAP_ANGSTROM, y + 0.5 * GAP_ANGSTROM, z];
         let sites = mean_atoms(self.specimen(), &area, &recipe.phonons);
         let atoms: Vec<Atom> =
             sites.iter().map(|site| Atom::new(site.number, moved(site.position))).collect();
-        let cell =
-            [[edge(area.x), 0.0, 0.0], [0.0, edge(area.y), 0.0], [0.0, 0.0, thickness_angstrom]];
+        let cell = [[width, 0.0, 0.0], [0.0, height, 0.0], [0.0, 0.0, thickness_angstrom]];
         let mut sigmas = BTreeMap::new();
         for site in &sites {
             sigmas.insert(elements::symbol(site.number).to_owned(), site.sigma_angstrom);
@@ -159,9 +160,10 @@ impl LiveWorld {
         }
         request.microscope = microscope;
         let first = [area.x[0], area.y[0]];
-        let start = [0, 1].map(|k| 10.0 * (frame.origin_nm[k] - first[k]) + 0.5 * GAP_ANGSTROM);
+        let start =
+            lengths::angstrom(plane::sub(frame.origin_nm, first)).map(|at| at + 0.5 * GAP_ANGSTROM);
         let points = [frame.shape[1], frame.shape[0]];
-        let end = [0, 1].map(|k| start[k] + 10.0 * frame.pixel_nm * points[k] as f64);
+        let end = plane::add(start, points.map(|n| frame.pixel_angstrom() * n as f64));
         request.scan = ScanRequest {
             start: Some(start),
             end: Some(end),

@@ -10,6 +10,7 @@ use super::live_history::{LiveAcquisition, LiveSnapshot};
 use crate::acquisition::{Acquisition, Exposure, ScanPath};
 use crate::error::{Error, Result};
 use crate::imaging::{GrownCarbon, MOST_GROWN_ANGSTROM, MethodChoice, PixelRect, RegionImager};
+use crate::lengths;
 use crate::progress::{InterruptOnly, Progress, Silent};
 use crate::recipe::{CheckedRecipe, Recipe, Region};
 use crate::rng::{Purpose, words};
@@ -256,7 +257,7 @@ impl LiveWorld {
 
     /// Mean thickness in nm of the carbon that has grown on a region (nm from the centre of the first built pixel).
     pub fn mean_carbon_nm(&self, region: &Region) -> f64 {
-        0.1 * self.carbon.mean(&self.in_full_field(region))
+        lengths::nm(self.carbon.mean(&self.in_full_field(region)))
     }
 
     /// The current truth of a region (nm from the centre of the first built pixel of the field).
@@ -388,8 +389,7 @@ impl LiveWorld {
         if self.specimen.is_lasting() {
             return Ok(());
         }
-        let edges = [0, 1].map(|k| [-0.5, 0.5].map(|h| part.centre_nm[k] + h * part.size_nm[k]));
-        let mean = self.mean_dose(&Region { x: edges[0], y: edges[1] }) + dose;
+        let mean = self.mean_dose(&Region::centred(part.centre_nm, part.size_nm)) + dose;
         let greatest = self.specimen.dose().greatest_with(spent);
         if mean <= self.most_dose * (1.0 + ROUNDING) && greatest <= UNEVEN * self.most_dose {
             return Ok(());

@@ -8,6 +8,7 @@ use super::atoms_table::AtomsTable;
 use super::resolved_recipe::Recipe;
 use super::tables::{Field, PhononTable};
 use crate::error::Result;
+use crate::lengths;
 use crate::structure::{Format, LabelledAtoms, Sigmas, elements, sigmas_of_file};
 
 /// Edge of a pixel in nm.
@@ -54,7 +55,7 @@ fn id_of(path: &Path) -> String {
 }
 
 fn field_of(atoms: &LabelledAtoms) -> Field {
-    let extent = atoms.extent().map(|[low, high]| 0.1 * (high - low));
+    let extent = atoms.extent().map(|[low, high]| lengths::nm(high - low));
     let stride = TILE_PX - OVERLAP_PX;
     let tiles = |nm: f64| {
         let pixels = ((nm + 2.0 * MARGIN_NM) / PIXEL_NM).ceil() + 1.0;
@@ -73,13 +74,13 @@ fn field_of(atoms: &LabelledAtoms) -> Field {
 
 fn phonons_of(path: &Path, atoms: &LabelledAtoms) -> PhononTable {
     let cif = Format::from_path(path).is_ok_and(|format| format == Format::Cif);
-    let told = if cif { sigmas_of_file(path).ok() } else { None };
+    let stated = if cif { sigmas_of_file(path).ok() } else { None };
     let symbols = atoms.elements();
     let of = |sigmas: &Sigmas| -> Option<BTreeMap<String, f64>> {
         let sigma = |symbol: &String| sigmas.of(elements::atomic_number(symbol).ok()?).ok();
         symbols.iter().map(|symbol| Some((symbol.clone(), sigma(symbol)?))).collect()
     };
-    match told.as_ref().and_then(of) {
+    match stated.as_ref().and_then(of) {
         Some(sigma_angstrom) => PhononTable { configurations: CONFIGURATIONS, sigma_angstrom },
         None => {
             let still = symbols.iter().map(|symbol| (symbol.clone(), 0.0)).collect();

@@ -192,7 +192,7 @@ fn check_crystal(recipe: &Recipe) -> Checked<(Structure, ColumnCrystal)> {
     let structure = oriented(&recipe.crystal, &recipe.zone_axis, recipe.y_axis.as_deref())
         .map_err(|e| crystal_fault("crystal", e))?;
     let crystal = ColumnCrystal::new(&structure).map_err(|e| crystal_fault("crystal", e))?;
-    let cells = recipe.field.thickness_nm * 10.0 / crystal.cell[2];
+    let cells = recipe.field.thickness_angstrom() / crystal.cell[2];
     if !(0.5..MOST_CELLS_ALONG_BEAM as f64).contains(&cells) {
         let expected = format!(
             "expected between one and {MOST_CELLS_ALONG_BEAM} unit cells, {:.4} to {:.0} nm",

@@ -4,6 +4,7 @@ use super::atoms_table::NO_CRYSTAL;
 use super::fault::{Checked, crystal_fault, fault, needed, within};
 use super::oriented_crystals::OrientedCrystals;
 use super::resolved_recipe::Recipe;
+use crate::lengths;
 use crate::structure::LabelledAtoms;
 
 /// Largest empty space of a specimen behind its last atom, in nm.
@@ -45,7 +46,7 @@ pub fn check_atoms(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> 
 
 fn check_thickness(thickness_nm: f64, atoms: &LabelledAtoms) -> Checked {
     let [_, _, [first, last]] = atoms.extent();
-    let extent = 0.1 * (last - first);
+    let extent = lengths::nm(last - first);
     if extent > THICKEST_NM {
         let expected = format!(
             "the atoms reach over {extent:.1} nm along the beam, expected at most {THICKEST_NM}"

@@ -6,6 +6,7 @@ use super::limits::BEYOND_FIELD_NM;
 use super::stack_table::{DEFAULT_CORRELATION_NM, StackTable};
 use super::stacked_crystals::{StackedLayer, StackedMatter};
 use super::tables::Field;
+use crate::lengths;
 use crate::structure::elements;
 
 /// Largest number of points of all rough interfaces together, six for each correlation length along both axes.
@@ -17,7 +18,7 @@ pub fn check_roughness(table: &StackTable, field: &Field) -> Checked {
     let thicknesses: Vec<f64> = table
         .layers
         .iter()
-        .map(|layer| layer.thickness_nm.unwrap_or(0.1 * (end - start)))
+        .map(|layer| layer.thickness_nm.unwrap_or(lengths::nm(end - start)))
         .collect();
     let mut points = 0.0;
     for (n, layer) in table.layers.iter().enumerate() {

@@ -5,6 +5,7 @@ use super::fault::{Checked, Fault, crystal_fault, fault, needed, within};
 use super::oriented_crystals::OrientedCrystals;
 use super::resolved_recipe::Recipe;
 use super::tables::Particles;
+use crate::lengths;
 use crate::models::carbon::block;
 use crate::models::particles::Metal;
 use crate::structure::elements;
@@ -48,7 +49,7 @@ fn other_crystal(mut fault: Fault) -> Fault {
 }
 
 fn check_film(thickness_nm: f64) -> Checked {
-    let most = 0.1 * block::EDGE_ANGSTROM;
+    let most = lengths::nm(block::EDGE_ANGSTROM);
     match (1.0..=most).contains(&thickness_nm) {
         true => Ok(()),
         false => {

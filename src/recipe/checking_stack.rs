@@ -22,6 +22,7 @@ use super::stacked_crystals::{
     StackedMatter,
 };
 use super::tables::Field;
+use crate::lengths;
 use crate::models::stack::Isometry;
 use crate::models::stack::atomic_planes::{AtomicPlane, atomic_planes, parse_formula};
 use crate::models::stack::lattice_fit::{CellMatch, closest, coherent, coincident, normal_strain};
@@ -383,8 +384,8 @@ fn heights(table: &StackTable, field: &Field) -> Checked<(Vec<f64>, f64)> {
         if at > whole + 1e-6 || !last && at > whole - PER_NM * THINNEST_NM {
             let expected = format!(
                 "the layers up to this one are {:.3} nm thick together, and the field has {:.3} nm along the stack; expected at least {THINNEST_NM} nm for each layer",
-                0.1 * (at - start),
-                0.1 * (whole - start)
+                lengths::nm(at - start),
+                lengths::nm(whole - start)
             );
             return fault(&layer_key(n, "thickness_nm"), nm, expected);
         }

@@ -8,6 +8,7 @@ use super::fault::{Checked, fault, within};
 use crate::engine::Source;
 use crate::error::Error;
 use crate::optics::{Aberration, Aberrations, Optics};
+use crate::resample::image_band_limit;
 use crate::setting::Setting;
 
 /// The probe.
@@ -16,7 +17,7 @@ use crate::setting::Setting;
 pub struct OpticsTable {
     /// Accelerating voltage in kV.
     pub energy_kv: f64,
-    /// Convergence semi-angle in mrad.
+    /// Convergence semiangle in mrad.
     pub convergence_mrad: f64,
     /// Defocus from the entrance surface in Angstrom; positive is underfocus, with the focus deeper in the specimen.
     #[serde(default, skip_serializing_if = "is_zero")]
@@ -63,6 +64,11 @@ impl OpticsTable {
             focal_spread_angstrom: self.focal_spread_angstrom,
             ..Optics::default()
         }
+    }
+
+    /// Returns the highest frequency in images, in 1/Angstrom.
+    pub(crate) fn image_band_limit(&self) -> f64 {
+        image_band_limit(&self.optics())
     }
 
     /// Returns the electron source; `None` for a point.

@@ -1,5 +1,8 @@
 //! Rectangles of the field, in nm.
 
+use crate::lengths;
+use crate::plane;
+
 /// A rectangle `x[0] <= x < x[1]`, `y[0] <= y < y[1]` in nm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Region {
@@ -31,6 +34,16 @@ impl Region {
     pub(crate) fn meets(&self, other: &Region) -> bool {
         let both = self.intersection(other);
         both.x[0] < both.x[1] && both.y[0] < both.y[1]
+    }
+    /// Returns the region of `size` (x, y) around a centre (x, y), all in nm.
+    pub(crate) fn centred(centre: [f64; 2], size: [f64; 2]) -> Region {
+        let ends = |centre, size| [-0.5, 0.5].map(|half| centre + half * size);
+        let [x, y] = plane::per_axis(centre, size, ends);
+        Region { x, y }
+    }
+    /// Returns the extent (x, y) in Angstrom.
+    pub(crate) fn size_angstrom(&self) -> [f64; 2] {
+        lengths::angstrom([self.x, self.y].map(|[low, high]| high - low))
     }
     /// Returns the area that the pixels `rows` x `columns` from pixel (row, column) `first` cover.
     pub fn of_pixels(first: [usize; 2], shape: [usize; 2], pixel_nm: f64) -> Region {

@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn recipes_are_told_by_their_differences() {
+    fn recipes_are_named_by_their_differences() {
         let easy = Some(Difficulty::Easy);
         assert_eq!(shipped("srtio3", easy, &[]).changes, []);
         let set = |text: &str| RecipeChange::Set(text.into());
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_variant_of_a_shipped_recipe_is_not_told() {
+    fn what_is_no_variant_of_a_shipped_recipe_is_not_named() {
         let mut recipe = Recipe::load("test", None).unwrap();
         recipe.id = "mine".into();
         assert_eq!(recipe.as_shipped(), None);

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::lengths;
 use crate::models::particles::Morphology;
+use crate::plane;
 use crate::recipe::crystal_source::CrystalSource;
 use crate::recipe::region::Region;
 use crate::structure::elements;
@@ -283,6 +285,14 @@ impl Field {
     pub fn pixel_nm(&self) -> f64 {
         self.fov_nm[1] / self.pixels(self.grid)[1] as f64
     }
+    /// Returns the edge of a pixel in Angstrom.
+    pub(crate) fn pixel_angstrom(&self) -> f64 {
+        lengths::angstrom(self.pixel_nm())
+    }
+    /// Returns the thickness in Angstrom.
+    pub(crate) fn thickness_angstrom(&self) -> f64 {
+        lengths::angstrom(self.thickness_nm)
+    }
     /// Returns the area of the full field.
     pub fn full_region(&self) -> Region {
         Region::of_pixels([0, 0], self.pixels(self.grid), self.pixel_nm())
@@ -301,6 +311,6 @@ impl Field {
     /// Returns row and column, in pixels of the full field, of the first pixel that is built.
     pub fn crop_origin_px(&self) -> [usize; 2] {
         let built = self.built_grid();
-        [0, 1].map(|i| (self.grid[i] - built[i]) / 2 * self.stride_px())
+        plane::sub(self.grid, built).map(|n| n / 2 * self.stride_px())
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::files::atomic_write;
+use crate::plane;
 use std::path::Path;
 
 /// A point (x to the right, y down) in pixels; the first pixel's centre is (0, 0).
@@ -135,10 +136,10 @@ impl RgbImage {
         color: [u8; 3],
         alpha: f64,
     ) {
-        let center = [0, 1].map(|a| (low[a] + high[a]) / 2.0);
-        let half = [0, 1].map(|a| (high[a] - low[a]) / 2.0 - radius);
+        let center = plane::add(low, high).map(|v| v / 2.0);
+        let half = plane::sub(high, low).map(|v| v / 2.0 - radius);
         self.paint(low, high, color, alpha, |p| {
-            let beyond = [0, 1].map(|a| (p[a] - center[a]).abs() - half[a]);
+            let beyond = plane::sub(plane::sub(p, center).map(f64::abs), half);
             let outside = beyond[0].max(0.0).hypot(beyond[1].max(0.0));
             outside + beyond[0].max(beyond[1]).min(0.0) - radius
         });

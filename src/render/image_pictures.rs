@@ -10,6 +10,7 @@ use super::{Contrast, Picture};
 use crate::error::{Error, Result};
 use crate::files::atomic_write;
 use crate::io::{ImageSeries, ImageStack, WorldFile};
+use crate::lengths;
 use crate::recipe::OVERVIEW_FACTOR;
 
 /// Pixels that are not square by more than this are resampled.
@@ -107,7 +108,7 @@ pub fn write_page(
 /// Errors of the file; [`Error::Invalid`] for values that cannot be drawn.
 pub fn of_world(world: &WorldFile) -> Result<Vec<u8>> {
     let [rows, columns] = world.shape();
-    let pixel = 10.0 * world.metadata().pixel_size_nm;
+    let pixel = lengths::angstrom(world.metadata().pixel_size_nm);
     if rows.max(columns) <= WHOLE_WORLD {
         return png(world.stitched(0..rows, 0..columns)?.view(), [pixel; 2], true);
     }

@@ -4,6 +4,7 @@ use super::canvas::{Point, RgbImage};
 use super::enlarge::SizeChange;
 use super::font;
 use crate::error::{Error, Result};
+use crate::plane;
 use crate::setting::Setting;
 
 const WHITE: [u8; 3] = [255; 3];
@@ -129,7 +130,7 @@ pub(super) fn draw_grey_bar(
 ) -> bool {
     let at = ScaleBar::new(image);
     let labels = [min, max].map(|value| value_label(f64::from(value)));
-    let widths = [0, 1].map(|k| font::width(&labels[k], at.digit));
+    let widths = labels.each_ref().map(|label| font::width(label, at.digit));
     let length = (0.24 * image.width as f64).max(widths[0] + widths[1] + 2.0 * at.gap).round();
     let height = (1.2 * at.digit).round();
     let box_size = [length + 2.0 * at.padding, at.digit + at.gap + height + 2.0 * at.padding];
@@ -140,7 +141,7 @@ pub(super) fn draw_grey_bar(
         return false;
     }
     let high = [image.width as f64 - 0.5 - at.margin, image.height as f64 - 0.5 - at.margin];
-    let low = [0, 1].map(|k| high[k] - box_size[k]);
+    let low = plane::sub(high, box_size);
     image.fill(low, high, 0.35 * at.digit, BLACK, 0.6);
     let left = (low[0] + at.padding).round() as usize;
     let bottom = (high[1] - at.padding).round() as usize;
@@ -178,7 +179,7 @@ pub(super) fn draw_caption(image: &mut RgbImage, caption: &str) {
         return;
     }
     let low = [at.margin - 0.5; 2];
-    let high = [0, 1].map(|k| low[k] + size[k]);
+    let high = plane::add(low, size);
     image.fill(low, high, 0.35 * at.digit, BLACK, 0.6);
     let start = [low[0] + at.padding, high[1] - at.padding];
     image.stroke(&font::lines(caption, start, at.digit), 0.135 * at.digit, WHITE, 1.0);

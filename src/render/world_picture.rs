@@ -10,6 +10,7 @@ use super::image_pictures::interpolate;
 use super::{Colormap, Contrast, Picture, RgbImage, Scene, Swatch, palette};
 use crate::error::{Error, Result};
 use crate::io::{ParticleBatch, WorldColumn, WorldFile};
+use crate::plane;
 use crate::setting::Setting;
 
 /// Rows that are read at a time.
@@ -331,7 +332,7 @@ impl WorldPart {
             particles.centres.iter().zip(&particles.diameters).enumerate()
         {
             let (at, radius) = (self.place([*x, *y]), 0.5 * f64::from(*diameter));
-            let nearest = [0, 1].map(|k| at[k].clamp(0.0, sizes[k]) - at[k]);
+            let nearest = plane::per_axis(at, sizes, |at, size| at.clamp(0.0, size) - at);
             if nearest[0].hypot(nearest[1]) > radius {
                 continue;
             }

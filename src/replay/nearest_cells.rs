@@ -1,5 +1,7 @@
 //! Finds the nearest of many points on an image.
 
+use crate::plane;
+
 /// Points sorted into squares of an image.
 pub(super) struct NearestCells {
     points: Vec<[f64; 2]>,
@@ -27,7 +29,9 @@ impl NearestCells {
     }
 
     fn square(&self, place: [f64; 2]) -> [usize; 2] {
-        [0, 1].map(|k| ((place[k] / self.edge).max(0.0) as usize).min(self.count[k] - 1))
+        plane::per_axis(place, self.count, |at, cells| {
+            ((at / self.edge).max(0.0) as usize).min(cells - 1)
+        })
     }
 
     /// Returns the number of the point nearest to a place in the image; among equally near ones the first. `None` without points.

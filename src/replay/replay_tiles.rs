@@ -4,6 +4,7 @@ use ndarray::{Axis, s};
 
 use crate::error::{Error, Result};
 use crate::io::WorldFile;
+use crate::lengths;
 use crate::progress::Progress;
 use crate::world::column_labels::{REACH_SIGMAS, class_of_counts, draw_column};
 use crate::world::training_set::{ColumnLists, TrainingOptions, TrainingSet, check_sizes, corner};
@@ -21,7 +22,7 @@ pub fn stored_training_set(
     let (shape, size) = (world.shape(), options.size_px);
     check_sizes(shape, options)?;
     let pixel_nm = world.metadata().pixel_size_nm;
-    let mut set = TrainingSet::empty(options.tiles, size, 10.0 * pixel_nm);
+    let mut set = TrainingSet::empty(options.tiles, size, lengths::angstrom(pixel_nm));
     set.clean = ndarray::Array3::zeros((0, size, size));
     set.dose.fill(f64::NAN);
     let columns = world.columns()?;

@@ -348,11 +348,11 @@ impl FrameNotes {
     }
 
     fn sentences(&self) -> Vec<String> {
-        let told = |note: &FrameNote| match note.count {
+        let sentence = |note: &FrameNote| match note.count {
             1 => format!("frame {}: {}", note.first, note.sentence),
             n => format!("frame {} ({n} frames in all): {}", note.first, note.sentence),
         };
-        self.0.iter().map(told).collect()
+        self.0.iter().map(sentence).collect()
     }
 }
 

@@ -85,7 +85,7 @@ impl MicroscopeRequest {
         self.source_size_angstrom.map(|fwhm_angstrom| Source { fwhm_angstrom, lorentz_share })
     }
 
-    /// Refuses values that no microscope has, and values that are likely slips.
+    /// Refuses values that no microscope has, and values that are likely mistakes.
     ///
     /// # Errors
     /// [`Error::Invalid`] with the expected value.
@@ -118,7 +118,7 @@ impl MicroscopeRequest {
         self.source().map_or(Ok(()), |source| source.validate())
     }
 
-    /// Warnings about values that are possible, but likely slips.
+    /// Warnings about values that are possible, but likely mistakes.
     pub(crate) fn warnings(&self) -> Vec<Warning> {
         self.aberrations.iter().filter_map(plausibility::check_azimuth).collect()
     }

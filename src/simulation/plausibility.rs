@@ -1,4 +1,4 @@
-//! Finds likely slips: values that are possible, but hardly intended. Each gives an error or a warning with its [`Setting`].
+//! Finds likely mistakes: values that are possible, but hardly intended. Each gives an error or a warning with its [`Setting`].
 
 use std::path::Path;
 
@@ -224,8 +224,8 @@ mod tests {
 
     #[test]
     fn angles_in_radians_are_found() {
-        let told = check_detector(&Detector::new("HAADF", 0.068, 0.2)).unwrap_err().to_string();
-        assert!(told.contains("did you mean HAADF=68-200?"), "{told}");
+        let message = check_detector(&Detector::new("HAADF", 0.068, 0.2)).unwrap_err().to_string();
+        assert!(message.contains("did you mean HAADF=68-200?"), "{message}");
         check_detector(&Detector::new("BF", 0.0, 5.0)).unwrap();
         assert!(check_semiangle(0.03).unwrap_err().to_string().contains("did you mean 30?"));
         assert!(check_semiangle(1.0).is_ok() && check_semiangle(5e-324).is_ok());
@@ -234,16 +234,17 @@ mod tests {
 
     #[test]
     fn azimuths_in_degrees_are_found() {
-        let told = |text: &str| check_azimuth(&Aberration::parse(text).unwrap()).map(|w| w.message);
-        assert!(told("C12=30@45").unwrap().contains("45 degrees are 0.7854 rad"));
-        assert!(told("C23=30@-90").is_some());
+        let message =
+            |text: &str| check_azimuth(&Aberration::parse(text).unwrap()).map(|w| w.message);
+        assert!(message("C12=30@45").unwrap().contains("45 degrees are 0.7854 rad"));
+        assert!(message("C23=30@-90").is_some());
         for usual in ["C12=30@0.3", "C12=30@6.28318", "C12=30@-3.1", "C30=1e5@90", "C12=30"] {
-            assert_eq!(told(usual), None, "{usual}");
+            assert_eq!(message(usual), None, "{usual}");
         }
     }
 
     #[test]
-    fn scans_that_leave_the_cell_are_told_and_long_ones_refused() {
+    fn scans_that_leave_the_cell_give_a_warning_and_long_ones_are_refused() {
         let scan = |origin_angstrom, [x, y]: [f64; 2]| Scan {
             origin_angstrom,
             step_angstrom: [x / 4.0, y / 5.0],
@@ -257,18 +258,18 @@ mod tests {
     }
 
     #[test]
-    fn narrow_cells_are_told_with_the_wider_one() {
-        let told = check_cell([5.431, 5.431], [1, 1, 10]).unwrap();
-        assert_eq!(told.setting, Some(Setting::Repeat));
-        assert!(told.message.contains("repeat it 3,3,10 times"), "{told:?}");
+    fn narrow_cells_give_a_warning_with_the_wider_one() {
+        let message = check_cell([5.431, 5.431], [1, 1, 10]).unwrap();
+        assert_eq!(message.setting, Some(Setting::Repeat));
+        assert!(message.message.contains("repeat it 3,3,10 times"), "{message:?}");
         assert_eq!(check_cell([10.0, 30.0], [1; 3]), None);
     }
 
     #[test]
     fn places_far_outside_are_refused() {
         check_places(&[[0.0, 0.0], [-5.0, 9.9]], [5.0, 5.0]).unwrap();
-        let told = check_places(&[[0.0, 0.0], [11.0, 0.0]], [5.0, 5.0]).unwrap_err().to_string();
-        assert!(told.contains("places[1] at 11, 0 A"), "{told}");
+        let message = check_places(&[[0.0, 0.0], [11.0, 0.0]], [5.0, 5.0]).unwrap_err().to_string();
+        assert!(message.contains("places[1] at 11, 0 A"), "{message}");
     }
 
     #[test]
@@ -276,7 +277,7 @@ mod tests {
         for good in ["a.h5", "a", "a.HDF5"] {
             check_hdf5_name(Path::new(good)).unwrap();
         }
-        let told = check_hdf5_name(Path::new("x.tif")).unwrap_err().to_string();
-        assert!(told.contains("did you mean x.h5?"), "{told}");
+        let message = check_hdf5_name(Path::new("x.tif")).unwrap_err().to_string();
+        assert!(message.contains("did you mean x.h5?"), "{message}");
     }
 }

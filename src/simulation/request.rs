@@ -184,8 +184,8 @@ mod tests {
         ];
         for (text, words) in bad {
             std::fs::write(&path, text).unwrap();
-            let told = SimulationRequest::from_toml(&path).unwrap_err().to_string();
-            assert!(told.contains(words) && told.contains("r.toml"), "{text}: {told}");
+            let shown = SimulationRequest::from_toml(&path).unwrap_err().to_string();
+            assert!(shown.contains(words) && shown.contains("r.toml"), "{text}: {shown}");
         }
     }
 }

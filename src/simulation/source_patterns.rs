@@ -12,6 +12,7 @@ use std::f64::consts::LN_2;
 use crate::engine::patterns::PatternRows;
 use crate::engine::{Scan, Source};
 use crate::error::Result;
+use crate::plane;
 
 /// The raster resolves the patterns' finest waves along the scan, and frequencies higher by this number divided by the standard deviation
 /// of the source. The aliased part is then below 0.03 %, and the error of the sum below 0.1 % of the maximum (tests).
@@ -46,18 +47,21 @@ impl SourceRaster {
         let sigma = source.fwhm_angstrom / (8.0 * LN_2).sqrt();
         let finest = highest_k + FOLDED / sigma;
         let times = scan.step_angstrom.map(|step| (step * finest).ceil().max(1.0));
-        let step = [0, 1].map(|k| scan.step_angstrom[k] / times[k]);
+        let step = plane::div(scan.step_angstrom, times);
         let weights = step.map(|step| {
             let reach = (REACH * sigma / step).ceil() as i64;
             let weight = |i: i64| libm::exp(-0.5 * (i as f64 * step / sigma).powi(2));
             let sum: f64 = (-reach..=reach).map(weight).sum();
             (-reach..=reach).map(|i| (weight(i) / sum) as f32).collect::<Vec<f32>>()
         });
-        let reach = [0, 1].map(|k: usize| weights[k].len() / 2);
+        let reach = weights.each_ref().map(|weights| weights.len() / 2);
         let times = times.map(|n| n as usize);
         let probes = |k: usize| (scan.shape[1 - k] - 1) * times[k] + weights[k].len();
         let fine = Scan {
-            origin_angstrom: [0, 1].map(|k| scan.origin_angstrom[k] - reach[k] as f64 * step[k]),
+            origin_angstrom: plane::sub(
+                scan.origin_angstrom,
+                plane::mul(reach.map(|n| n as f64), step),
+            ),
             step_angstrom: step,
             shape: [probes(1), probes(0)],
         };

@@ -4,6 +4,7 @@
 //! beam, or else begin a row. Rows whose means lie that near to each other are then joined, the smallest first, unless an atom of either
 //! lies farther than [`DISPLACED_NM`] from the common mean. So a few atoms that vibrate, or lean out of a row, make no separate row.
 
+use crate::plane;
 use std::collections::HashMap;
 
 use super::sites::DISPLACED_NM;
@@ -139,14 +140,14 @@ impl<'a> Rows<'a> {
     /// Whether all atoms of two rows lie near the mean of both.
     fn fit(&self, a: usize, b: usize) -> bool {
         let count = f64::from(self.count[a] + self.count[b]);
-        let mean = [0, 1].map(|k| (self.sum[a][k] + self.sum[b][k]) / count);
+        let mean = plane::add(self.sum[a], self.sum[b]).map(|sum| sum / count);
         self.atoms(a).chain(self.atoms(b)).all(|atom| distance(self.place(atom), mean) < REACH_NM)
     }
 
     fn absorb(&mut self, row: usize, other: usize) {
         self.next[self.last[row] as usize] = self.first[other];
         self.last[row] = self.last[other];
-        self.sum[row] = [0, 1].map(|k| self.sum[row][k] + self.sum[other][k]);
+        self.sum[row] = plane::add(self.sum[row], self.sum[other]);
         self.count[row] += self.count[other];
         self.count[other] = 0;
     }

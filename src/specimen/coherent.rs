@@ -8,14 +8,14 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::lengths;
+use crate::plane;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
 use crate::recipe::tables::Field;
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::units::unit_kinds::UnitMember;
 use crate::structure::columns::{Chain, ColumnCrystal};
-
-pub(super) const NM: f64 = 0.1;
 
 /// The spacing of planes, as a map from the field to the reference lattice that rises with x. All lengths are in nm.
 pub trait Stretch {
@@ -56,7 +56,7 @@ impl<S: Stretch> Coherent<S> {
     }
 
     pub fn thickness_nm(&self) -> f64 {
-        self.cells_along_beam as f64 * self.crystal.cell[2] * NM
+        lengths::nm(self.cells_along_beam as f64 * self.crystal.cell[2])
     }
 
     /// Returns the centre in nm of a unit whose first member lies in the cell of `first`; `place` gives the position of a column.
@@ -68,16 +68,16 @@ impl<S: Stretch> Coherent<S> {
     ) -> [f64; 2] {
         let mut sum = [0.0; 2];
         for member in members {
-            let cell = [0, 1].map(|k| first.cell[k] + member.cell[k]);
+            let cell = plane::add(first.cell, member.cell);
             let at = place(ColumnIndex { kind: member.kind, cell, ..first });
-            sum = [0, 1].map(|k| sum[k] + at[k] / members.len() as f64);
+            sum = plane::add(sum, at.map(|v| v / members.len() as f64));
         }
         sum
     }
 
     /// Height in nm of the atom of `chain` in cell `cell` along the beam.
     pub fn height(&self, cell: usize, chain: &Chain) -> f64 {
-        (cell as f64 + chain.z) * self.crystal.cell[2] * NM
+        lengths::nm((cell as f64 + chain.z) * self.crystal.cell[2])
     }
 
     /// Calls `f(column, position, more, row)` for the columns of the specimen whose position lies in `region`; `place` computes the
@@ -139,8 +139,9 @@ impl<S: Stretch> Coherent<S> {
             }
             _ => y,
         };
-        let cell =
-            |v: f64| ((v - self.origin[axis]) / (self.crystal.cell[axis] * NM)).floor() as i64;
+        let cell = |v: f64| {
+            ((v - self.origin[axis]) / lengths::nm(self.crystal.cell[axis])).floor() as i64
+        };
         cell(ends[0]) - 1..cell(ends[1]) + 1
     }
 
@@ -178,6 +179,8 @@ impl<S: Stretch> Coherent<S> {
     /// Returns the place of a column in the reference lattice, in nm.
     pub fn reference(&self, index: ColumnIndex) -> [f64; 2] {
         let xy = self.crystal.columns[index.kind].xy;
-        [0, 1].map(|k| self.origin[k] + (index.cell[k] as f64 + xy[k]) * self.crystal.cell[k] * NM)
+        [0, 1].map(|k| {
+            self.origin[k] + lengths::nm((index.cell[k] as f64 + xy[k]) * self.crystal.cell[k])
+        })
     }
 }

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use crate::plane;
 use crate::recipe::region::Region;
 
 /// Least edge of a cell in nm.
@@ -49,10 +50,8 @@ impl ColumnGrid {
     }
 
     fn cell(&self, at: [f64; 2]) -> [usize; 2] {
-        [0, 1].map(|k| {
-            let along = ((at[k] - self.corner_nm[k]) / self.edge_nm).floor();
-            (along.max(0.0) as usize).min(self.shape[k] - 1)
-        })
+        let along = plane::sub(at, self.corner_nm).map(|d| (d / self.edge_nm).floor());
+        plane::per_axis(along, self.shape, |n, cells| (n.max(0.0) as usize).min(cells - 1))
     }
 
     fn number(&self, [x, y]: [usize; 2]) -> usize {
@@ -76,7 +75,7 @@ impl ColumnGrid {
     pub fn filled(&self) -> impl Iterator<Item = (Range<usize>, [f64; 2])> {
         let cells = (0..self.shape[1]).flat_map(|y| (0..self.shape[0]).map(move |x| [x, y]));
         let centre = |cell: [usize; 2]| {
-            [0, 1].map(|k| self.corner_nm[k] + (cell[k] as f64 + 0.5) * self.edge_nm)
+            plane::add(self.corner_nm, cell.map(|n| (n as f64 + 0.5) * self.edge_nm))
         };
         let found = cells.map(move |cell| (self.columns(cell[1], [cell[0]; 2]), centre(cell)));
         found.filter(|(columns, _)| !columns.is_empty())
@@ -89,7 +88,7 @@ impl ColumnGrid {
         let mut nearest: Option<(f64, usize)> = None;
         for ring in self.steps[self.number(centre)] as usize..most {
             for column in self.ring(centre, ring).flatten() {
-                let [dx, dy] = [0, 1].map(|k| positions_nm[column][k] - at[k]);
+                let [dx, dy] = plane::sub(positions_nm[column], at);
                 let square = dx * dx + dy * dy;
                 if nearest.is_none_or(|(least, known)| {
                     square < least || square == least && column < known

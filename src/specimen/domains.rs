@@ -8,11 +8,13 @@ use std::cell::LazyCell;
 use std::collections::{BTreeSet, HashMap};
 
 use crate::error::{Error, Result};
+use crate::lengths;
+use crate::plane;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
-use crate::specimen::coherent::{Coherent, NM, Stretch};
+use crate::specimen::coherent::{Coherent, Stretch};
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::defects::clusters::Clusters;
 use crate::specimen::defects::rules::Defects;
@@ -146,7 +148,7 @@ impl Domains {
         let ideal = [self.lattice.stretch.to_field(reference[0], row), reference[1]];
         let order = order(row, ideal[0]);
         let shift = self.column_shifts[index.kind];
-        ([0, 1].map(|k| ideal[k] + order * shift[k]), (ideal, order))
+        (plane::add(ideal, [shift[0], shift[1]].map(|s| order * s)), (ideal, order))
     }
 
     /// Returns the place in the library of a unit of a kind, by its first column.
@@ -231,9 +233,13 @@ impl SpecimenLayout for Domains {
         let place = |depth: usize, kind: usize, number: usize| {
             let chain = &crystal.columns[kind].chains[number];
             let xy = crystal.columns[kind].xy;
-            let ideal = [xy[0] * cell[0], xy[1] * cell[1], self.lattice.height(depth, chain) / NM];
+            let ideal = [
+                xy[0] * cell[0],
+                xy[1] * cell[1],
+                lengths::angstrom_by_division(self.lattice.height(depth, chain)),
+            ];
             let shift = self.shifts[chain.site];
-            [0, 1, 2].map(|k| ideal[k] + order * shift[k] / NM)
+            [0, 1, 2].map(|k| ideal[k] + lengths::angstrom_by_division(order * shift[k]))
         };
         let depth = self.lattice.cells_along_beam;
         Some(LibraryCell::lattice(contents, crystal, (cell, family.bin), depth, place))
@@ -447,7 +453,7 @@ fn shifts(first: &Structure, second: &Structure) -> Result<Vec<[f64; 3]>> {
         };
         taken[n] = true;
         let s = shift(other);
-        out.push([s[0] * b[0] * NM, s[1] * a[1] * NM, s[2] * a[2] * NM]);
+        out.push(lengths::nm([s[0] * b[0], s[1] * a[1], s[2] * a[2]]));
     }
     Ok(out)
 }

@@ -7,13 +7,15 @@ use std::collections::HashMap;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
+use crate::lengths;
+use crate::plane;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::region::Region;
 use crate::recipe::tables::{Alloy, CompositionProfile, Wells};
 use crate::rng::{self, Purpose};
 use crate::specimen::alloy_spacing::{Spacing, TabulatedComposition, TabulatedStretch};
 use crate::specimen::atom_columns::{AtomColumn, Sites};
-use crate::specimen::coherent::{Coherent, NM, Stretch};
+use crate::specimen::coherent::{Coherent, Stretch};
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::composition::{Composition, InterfacesAlongBeam};
 use crate::specimen::defects::rules::Defects;
@@ -64,8 +66,9 @@ impl Epitaxy {
         let crystal = recipe.columns()?.clone();
         let spacing = Spacing::new(recipe, alloy, &crystal)?;
         let field = recipe.field.full_region();
-        let thickness =
-            crystal.cells_along_beam(recipe.field.thickness_nm) as f64 * crystal.cell[2] * NM;
+        let thickness = lengths::nm(
+            crystal.cells_along_beam(recipe.field.thickness_nm) as f64 * crystal.cell[2],
+        );
         let wells = recipe.wells.as_ref();
         let composition = Composition::new(alloy, wells, &field, thickness, recipe.seed);
         let table = TabulatedComposition::new(&composition, &field);
@@ -250,7 +253,7 @@ impl Epitaxy {
         mut f: impl FnMut(usize, f64, u64),
     ) {
         for member in &contents.units.kinds[kind] {
-            let cell = [0, 1].map(|k| first.cell[k] + member.cell[k]);
+            let cell = plane::add(first.cell, member.cell);
             let index = ColumnIndex { kind: member.kind, cell, ..first };
             let [x, y] = position(index);
             let along_beam = self.composition.along_beam([x, y]);
@@ -361,7 +364,8 @@ impl SpecimenLayout for Epitaxy {
         let cell = [crystal.cell[0] * self.spacing.relative(fraction), crystal.cell[1]];
         let place = |depth: usize, kind: usize, number: usize| {
             let column = &crystal.columns[kind];
-            let z = self.lattice.height(depth, &column.chains[number]) / NM;
+            let z =
+                lengths::angstrom_by_division(self.lattice.height(depth, &column.chains[number]));
             [column.xy[0] * cell[0], column.xy[1] * cell[1], z]
         };
         let depth = self.lattice.cells_along_beam;

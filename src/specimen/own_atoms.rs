@@ -8,6 +8,8 @@ use rayon::prelude::*;
 use super::beam_rows::beam_rows;
 use super::column_grid::ColumnGrid;
 use crate::error::{Error, Result};
+use crate::lengths;
+use crate::plane;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::atoms_table::AtomsTable;
 use crate::recipe::limits::BEYOND_FIELD_NM;
@@ -24,7 +26,6 @@ use crate::structure::{LabelledAtom, LabelledAtoms, SiteLabel};
 
 /// Largest number of atoms of a specimen that is held in memory.
 const MOST_ATOMS: usize = 10_000_000;
-const NM: f64 = 0.1;
 
 /// A specimen made of the atoms of the user's file, or of the layers of a stack.
 pub struct OwnAtoms {
@@ -134,10 +135,12 @@ impl OwnAtoms {
         let count = rows.iter().max().map_or(0, |last| *last as usize + 1);
         let (members, starts) = by_row(&rows, count);
         let of_row = |row: usize| &members[starts[row] as usize..starts[row + 1] as usize];
+        let xy = |n: u32| {
+            let [x, y, _] = places[n as usize];
+            [x, y]
+        };
         let mean = |row: usize| {
-            let sum = of_row(row)
-                .iter()
-                .fold([0.0; 2], |sum, n| [0, 1].map(|k| sum[k] + places[*n as usize][k]));
+            let sum = of_row(row).iter().fold([0.0; 2], |sum, n| plane::add(sum, xy(*n)));
             sum.map(|s| s / of_row(row).len() as f64)
         };
         let means: Vec<[f64; 2]> = (0..count).into_par_iter().map(mean).collect();
@@ -207,8 +210,9 @@ fn placed(
     // A column may have its position inside the field and atoms outside.
     let around = field.grown(BEYOND_FIELD_NM + 2.0 * DISPLACED_NM);
     let [x, y, [first, _]] = atoms.extent();
-    let middle = [(x, field.x), (y, field.y)]
-        .map(|(ends, field)| 0.5 * (ends[0] + ends[1]) - 0.5 * (field[0] + field[1]) / NM);
+    let middle = [(x, field.x), (y, field.y)].map(|(ends, field)| {
+        0.5 * (ends[0] + ends[1]) - lengths::angstrom_by_division(0.5 * (field[0] + field[1]))
+    });
     let origin = table.origin_angstrom.unwrap_or(middle);
     let edges = [atoms.cell[0][0], atoms.cell[1][1]];
     let ranges = [around.x, around.y];
@@ -217,17 +221,19 @@ fn placed(
         if !table.repeat {
             return 0..=0;
         }
-        let cells = |nm: f64| (nm / NM + origin[k] - coordinate) / edges[k];
+        let cells =
+            |nm: f64| (lengths::angstrom_by_division(nm) + origin[k] - coordinate) / edges[k];
         cells(ranges[k][0]).ceil() as i64..=cells(ranges[k][1]).floor() as i64
     };
     if table.repeat {
-        let cells = [0, 1].map(|k| (ranges[k][1] - ranges[k][0]) / NM / edges[k] + 1.0);
+        let cells = [0, 1]
+            .map(|k| lengths::angstrom_by_division(ranges[k][1] - ranges[k][0]) / edges[k] + 1.0);
         check_count(cells[0] * cells[1] * atoms.atoms.len() as f64)?;
     }
     let site = |atom: &LabelledAtom, shift: [i64; 2]| {
         let [x, y, z] = atom.position;
-        let across = |k: usize, v: f64| NM * (v + shift[k] as f64 * edges[k] - origin[k]);
-        let position_nm = [across(0, x), across(1, y), NM * (z - first)];
+        let across = |k: usize, v: f64| v + shift[k] as f64 * edges[k] - origin[k];
+        let position_nm = lengths::nm([across(0, x), across(1, y), z - first]);
         let kind = match atom.label {
             SiteLabel::Pristine => SiteKind::Pristine,
             SiteLabel::Vacancy => SiteKind::Vacancy,

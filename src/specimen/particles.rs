@@ -10,6 +10,7 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::models::carbon::block::atoms_per_nm2;
 use crate::models::carbon::carbon_film::{Film, FilmAtom};
 use crate::models::carbon::network::CARBON;
@@ -41,7 +42,6 @@ const ROW_STRAIN: f64 = 0.1;
 
 /// Vacuum above the highest particle and below the film, in Angstrom.
 const VACUUM: f64 = 1.0;
-const NM: f64 = 0.1;
 /// Bit that is set in the keys of particles' atoms.
 const PARTICLE_KEY: u64 = 1 << 60;
 
@@ -101,7 +101,7 @@ impl ParticlesOnCarbon {
         place(&mut particles, &field, table, recipe.seed)?;
         let tallest = particles.iter().map(PlacedParticle::tall).fold(0.0, f64::max);
         let face = VACUUM + tallest + table.contact_angstrom;
-        let thickness = recipe.field.thickness_nm / NM;
+        let thickness = lengths::angstrom_by_division(recipe.field.thickness_nm);
         Ok(ParticlesOnCarbon {
             facts: facts(&particles, face, thickness),
             particles,
@@ -135,7 +135,7 @@ impl ParticlesOnCarbon {
 
     fn truth(&self, particle: &PlacedParticle) -> ParticleTruth {
         let ParticleOutline { centre_nm: [x, y], diameter_nm, morphology } = particle.outline();
-        let centre_nm = [x, y, self.height(particle) * NM];
+        let centre_nm = [x, y, lengths::nm(self.height(particle))];
         ParticleTruth { centre_nm, diameter_nm, morphology, orientation: particle.rotation.0 }
     }
 
@@ -149,7 +149,7 @@ impl ParticlesOnCarbon {
     ) {
         let particle = &self.particles[index];
         let [x, y] = particle.centre;
-        let box_nm = |c: f64| [(c - particle.radius) * NM, (c + particle.radius) * NM];
+        let box_nm = |c: f64| lengths::nm([c - particle.radius, c + particle.radius]);
         let all = Region { x: box_nm(x), y: box_nm(y) }.intersection(region);
         if all.x[0] > all.x[1] || all.y[0] > all.y[1] {
             return;
@@ -158,7 +158,7 @@ impl ParticlesOnCarbon {
         for row in &particle.rows {
             let n = row.len() as f64;
             let mean = |k: usize| particle.atoms[row.clone()].iter().map(|p| p[k]).sum::<f64>() / n;
-            let at = [(x + mean(0)) * NM, (y + mean(1)) * NM];
+            let at = lengths::nm([x + mean(0), y + mean(1)]);
             if !region.contains(at) {
                 continue;
             }
@@ -167,7 +167,7 @@ impl ParticlesOnCarbon {
             for n in row.clone() {
                 let p = particle.atoms[n];
                 let (kind, number) = self.defects.of(key(n), self.number);
-                let position_nm = [x + p[0], y + p[1], height + p[2]].map(|v| v * NM);
+                let position_nm = lengths::nm([x + p[0], y + p[1], height + p[2]]);
                 out.sites.push(SpecimenSite { key: key(n), position_nm, number, kind });
             }
             let sites = first..out.sites.len();
@@ -214,9 +214,10 @@ impl Specimen for ParticlesOnCarbon {
             self.push_particle(index, &region, |p| self.height(p), &mut out);
         }
         // The area is slightly larger than the region: the comparison in nm decides whether an atom lies inside.
-        let area = [region.x, region.y].map(|[low, high]| [low / NM - 1e-6, high / NM + 1e-6]);
+        let area = lengths::angstrom_by_division([region.x, region.y])
+            .map(|[low, high]| [low - 1e-6, high + 1e-6]);
         for FilmAtom { key, position } in self.film_atoms(area) {
-            let position_nm = position.map(|v| v * NM);
+            let position_nm = lengths::nm(position);
             let at = [position_nm[0], position_nm[1]];
             if region.contains(at) {
                 let first = out.sites.len();
@@ -257,15 +258,15 @@ impl Specimen for ParticlesOnCarbon {
 
 /// Collects the facts of particles on a film, whose upper face and thickness are in Angstrom.
 fn facts(particles: &[PlacedParticle], face: f64, thickness: f64) -> SpecimenFacts {
-    let per_nm2 = atoms_per_nm2(thickness * NM);
+    let per_nm2 = atoms_per_nm2(lengths::nm(thickness));
     let outlines: Vec<ParticleOutline> = particles.iter().map(PlacedParticle::outline).collect();
     let sites = particles.iter().map(|p| p.atoms.len() as u64);
     let particles = outlines.iter().map(|p| p.centre_nm).zip(sites).collect();
     SpecimenFacts {
-        thickness_nm: (face + thickness + VACUUM) * NM,
+        thickness_nm: lengths::nm(face + thickness + VACUUM),
         film: Some(ThinFilm {
             number: CARBON,
-            depth_nm: [face, face + thickness].map(|z| z * NM),
+            depth_nm: lengths::nm([face, face + thickness]),
             atoms_per_nm2: per_nm2,
             other_keys: PARTICLE_KEY,
         }),
@@ -307,7 +308,7 @@ impl PlacedParticle {
 
     fn outline(&self) -> ParticleOutline {
         ParticleOutline {
-            centre_nm: self.centre.map(|c| c * NM),
+            centre_nm: lengths::nm(self.centre),
             diameter_nm: self.diameter_nm,
             morphology: self.morphology.name().to_owned(),
         }
@@ -432,7 +433,7 @@ fn push_row(row: Range<usize>, atoms: &[[f64; 3]], rows: &mut Vec<Range<usize>>)
     let members = &atoms[row.clone()];
     let mean = |k: usize| members.iter().map(|p| p[k]).sum::<f64>() / members.len() as f64;
     let centre = [mean(0), mean(1)];
-    let most = 0.99 * DISPLACED_NM / NM;
+    let most = lengths::angstrom_by_division(0.99 * DISPLACED_NM);
     let square =
         |p: &[f64; 3]| (0..2).map(|k| (p[k] - centre[k]) * (p[k] - centre[k])).sum::<f64>();
     if members.iter().all(|p| square(p) < most * most) {
@@ -451,7 +452,8 @@ fn place(
     seed: u64,
 ) -> Result<()> {
     let radii: Vec<f64> = particles.iter().map(|p| p.radius).collect();
-    let centres = scattered(&radii, &[], field, table.gap_nm / NM, (seed, 0));
+    let centres =
+        scattered(&radii, &[], field, lengths::angstrom_by_division(table.gap_nm), (seed, 0));
     let centres = centres.map_err(|NoPlace { index, placed }| {
         let expected = format!(
             "after {placed} particles no place was found for another with a diameter of {:.2} nm, {} nm from the others; lower the number, \

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use crate::error::Result;
+use crate::lengths;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::region::Region;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
@@ -37,7 +38,7 @@ impl Relaxed {
         let shortest = shortest_distances(recipe.structure()?, PAIR_CUTOFF_ANGSTROM);
         Ok(Box::new(Relaxed {
             inner,
-            distance_nm: 0.1 * vacancies.relaxation_angstrom,
+            distance_nm: lengths::nm(vacancies.relaxation_angstrom),
             reach: Reach::new(element, &shortest),
         }))
     }

@@ -1,5 +1,7 @@
 //! Random places of circles in the field.
 
+use crate::lengths;
+use crate::plane;
 use crate::recipe::region::Region;
 use crate::rng::{Purpose, open_unit, words};
 
@@ -7,7 +9,6 @@ use crate::rng::{Purpose, open_unit, words};
 const TRIES: u64 = 100_000;
 /// Number of the random draws for places.
 const PLACE: u32 = 2;
-const NM: f64 = 0.1;
 
 /// A circle in Angstrom.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -22,7 +23,7 @@ impl Circle {
     /// Whether two circles are at least `gap` Angstrom apart.
     pub fn is_clear_of(&self, other: &Circle, gap: f64) -> bool {
         let room = self.radius + other.radius + gap;
-        let d = [0, 1].map(|k| self.centre[k] - other.centre[k]);
+        let d = plane::sub(self.centre, other.centre);
         d[0] * d[0] + d[1] * d[1] > room * room
     }
 }
@@ -57,12 +58,14 @@ pub fn scattered(
         let tried = |attempt: u64| {
             let w = words(seed, Purpose::Particle, PLACE, (stream + index as u64) << 32 | attempt);
             let within = |range: [f64; 2], w: u32| {
-                let [low, high] = range.map(|v| v / NM);
+                let [low, high] = lengths::angstrom_by_division(range);
                 low + radius + (high - low - 2.0 * radius) * open_unit(w)
             };
             Circle { centre: [within(field.x, w[0]), within(field.y, w[1])], radius }
         };
-        let inside = [field.x, field.y].iter().all(|r| (r[1] - r[0]) / NM > 2.0 * radius);
+        let inside = [field.x, field.y]
+            .iter()
+            .all(|r| lengths::angstrom_by_division(r[1] - r[0]) > 2.0 * radius);
         let tries = if inside { 0..TRIES } else { 0..0 };
         let clear = |circle: &Circle| taken.iter().all(|other| circle.is_clear_of(other, gap));
         let Some(found) = tries.map(tried).find(clear) else {

@@ -1,6 +1,7 @@
 //! Lattice sites of a specimen.
 
 use crate::engine::Site;
+use crate::lengths;
 use crate::recipe::tables::PhononTable;
 
 /// Largest distance of a site from the position of its column, in nm.
@@ -36,7 +37,7 @@ impl SpecimenSite {
     pub fn atom(&self, corner_nm: [f64; 2], phonons: &PhononTable) -> Option<Site> {
         let [x, y, z] = self.position_nm;
         (self.kind != SiteKind::Vacancy).then(|| Site {
-            position: [10.0 * (x - corner_nm[0]), 10.0 * (y - corner_nm[1]), 10.0 * z],
+            position: lengths::angstrom([x - corner_nm[0], y - corner_nm[1], z]),
             number: self.number,
             sigma_angstrom: phonons.sigma_angstrom(self.number),
             key: self.key,

@@ -4,6 +4,7 @@ use super::atom_columns::{AtomColumn, Sites};
 use super::sites::SpecimenSite;
 use super::units::library_cell::LibraryCell;
 use super::units::unit_tag::UnitFamily;
+use crate::lengths;
 use crate::recipe::region::Region;
 
 /// A line between grains or phases.
@@ -148,7 +149,7 @@ impl ThinFilm {
     /// Returns the height in Angstrom of the slice that an atom of the film at `z_angstrom` belongs to: the middle of the slice. The film
     /// is divided into equal slices of at most `thickness_angstrom`.
     pub(crate) fn slice_height_angstrom(&self, z_angstrom: f64, thickness_angstrom: f64) -> f64 {
-        let [start, end] = self.depth_nm.map(|z| 10.0 * z);
+        let [start, end] = lengths::angstrom(self.depth_nm);
         let slices = ((end - start) / thickness_angstrom).ceil().max(1.0);
         let each = (end - start) / slices;
         start + (((z_angstrom - start) / each).floor().clamp(0.0, slices - 1.0) + 0.5) * each
@@ -190,6 +191,13 @@ pub struct SpecimenFacts {
     pub expected_sites: Option<ExpectedSites>,
     /// The layers of a stack.
     pub stack: Option<StackTruth>,
+}
+
+impl SpecimenFacts {
+    /// Thickness in Angstrom.
+    pub(crate) fn thickness_angstrom(&self) -> f64 {
+        lengths::angstrom(self.thickness_nm)
+    }
 }
 
 /// The layout of a specimen, which does not change when single atoms do.

@@ -5,6 +5,7 @@
 
 use super::specimen_trait::ThinFilm;
 use crate::engine::Site;
+use crate::lengths;
 use crate::models::carbon::block::atoms_per_nm2;
 use crate::models::carbon::carbon_film::{Film, FilmAtom};
 use crate::models::carbon::network::CARBON;
@@ -41,8 +42,8 @@ impl SurfaceLayers {
     /// Returns the layers of a recipe on a specimen of this thickness, if it has any.
     pub fn of(recipe: &Recipe, thickness_nm: f64) -> Option<Self> {
         let table = recipe.surface?;
-        let thickness = 10.0 * thickness_nm;
-        let [before, behind] = [table.entrance_nm, table.exit_nm].map(|nm| 10.0 * nm);
+        let thickness = lengths::angstrom(thickness_nm);
+        let [before, behind] = lengths::angstrom([table.entrance_nm, table.exit_nm]);
         let depths = [
             [-CONTACT_ANGSTROM - before, -CONTACT_ANGSTROM],
             [thickness + CONTACT_ANGSTROM, thickness + CONTACT_ANGSTROM + behind],
@@ -93,6 +94,11 @@ impl SurfaceLayers {
     pub fn thickness_angstrom(&self) -> f64 {
         self.extent[0] + self.extent[1]
     }
+
+    /// Returns the thickness of specimen and layers in nm.
+    pub fn thickness_nm(&self) -> f64 {
+        lengths::nm(self.thickness_angstrom())
+    }
 }
 
 impl CarbonLayer {
@@ -100,13 +106,13 @@ impl CarbonLayer {
     pub(crate) fn estimated_atoms(&self, area: &Region) -> u64 {
         let [width, height] = [area.x, area.y].map(|[low, high]| high - low);
         let [begin, end] = self.depth_angstrom;
-        (atoms_per_nm2(0.1 * (end - begin)) * width * height).round() as u64
+        (atoms_per_nm2(lengths::nm(end - begin)) * width * height).round() as u64
     }
 
     /// Returns the height in Angstrom of the slice of an atom at `z_angstrom`. The layer is divided into equal slices, as thick as in any
     /// specimen without planes.
     pub fn slice_height_angstrom(&self, z_angstrom: f64) -> f64 {
-        let depth_nm = self.depth_angstrom.map(|z| 0.1 * z);
+        let depth_nm = lengths::nm(self.depth_angstrom);
         let atoms_per_nm2 = atoms_per_nm2(depth_nm[1] - depth_nm[0]);
         let film = ThinFilm { number: CARBON, depth_nm, atoms_per_nm2, other_keys: 0 };
         film.slice_height_angstrom(z_angstrom, GROUP_ANGSTROM)
@@ -114,7 +120,7 @@ impl CarbonLayer {
 
     /// Returns the atoms in an area at their mean positions, in Angstrom from the area's corner and from the specimen's entrance face.
     pub fn atoms(&self, area: &Region) -> Vec<Site> {
-        let [x, y] = [area.x, area.y].map(|range| range.map(|nm| 10.0 * nm));
+        let [x, y] = lengths::angstrom([area.x, area.y]);
         let site = |atom: FilmAtom| Site {
             position: [
                 atom.position[0] - x[0],

@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_angle_is_told_the_right_ones() {
+    fn a_wrong_angle_is_refused_with_the_right_ones() {
         let message = half_angle(PlaneLattice::Square, 5, 30.0).unwrap_err();
         assert!(message.contains("36.87") && message.contains("53.13"), "{message}");
     }

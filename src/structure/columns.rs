@@ -1,6 +1,7 @@
 //! Crystals as columns of atoms along the beam on a rectangular lattice, from which specimens are built.
 
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::structure::Structure;
 
 /// Largest distance in projection of atoms of one column, in Angstrom.
@@ -104,7 +105,7 @@ impl ColumnCrystal {
 
     /// Returns the number of cells along the beam in `thickness_nm`, at least one.
     pub(crate) fn cells_along_beam(&self, thickness_nm: f64) -> usize {
-        ((thickness_nm * 10.0 / self.cell[2]).round() as usize).max(1)
+        ((lengths::angstrom(thickness_nm) / self.cell[2]).round() as usize).max(1)
     }
 
     /// Whether the mirror image in a plane perpendicular to x is the same crystal, apart from a shift.

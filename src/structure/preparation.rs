@@ -8,7 +8,7 @@ use crate::setting::Setting;
 /// Atoms further than this outside their cell, in Angstrom, are more than displaced, and are reported.
 const OUTSIDE_ANGSTROM: f64 = 0.5;
 /// Strain below this is rounding of the file, and is not reported.
-const TOLD_STRAIN: f64 = 1e-5;
+const REPORTED_STRAIN: f64 = 1e-5;
 
 /// Settings of the preparation of a structure.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -53,7 +53,7 @@ impl Preparation {
             let zone = self.zone.unwrap_or([0, 0, 1]);
             let made = structure.oriented_within(zone, self.up, limit)?;
             structure = made.structure;
-            if made.strain > TOLD_STRAIN {
+            if made.strain > REPORTED_STRAIN {
                 strain_percent = Some(100.0 * made.strain);
                 notes.push(format!(
                     "the cell was strained by {:.3} % to make its angles 90 degrees",
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn strain_is_told() {
+    fn strain_is_reported() {
         let mut cell = CELL;
         cell[1][0] = 0.05;
         let structure = Structure { cell, atoms: vec![Atom::new(14, [0.0; 3])] };

@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_that_contradict_the_line_are_told() {
+    fn labels_that_contradict_the_line_are_reported() {
         let of = |columns: &str, row: &str| read(columns, &[row]).unwrap_err().to_string();
         let cases = [
             (

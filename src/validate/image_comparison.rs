@@ -13,6 +13,7 @@ use super::{
 };
 use crate::engine::{Plan, Scan, Site};
 use crate::error::Result;
+use crate::plane;
 use crate::progress::Progress;
 
 /// Largest distance along x and y at which the start of a scan is searched, from the start that its file gives; crystals repeat within that
@@ -111,7 +112,7 @@ pub fn compare(progress: &dyn Progress, c: &ImageComparison) -> Result<Outcome> 
         notes.push(explained(progress, c, (&ours, &reference), &mut findings)?);
         notes.extend(c.remedy.clone());
     }
-    notes.extend(converged.map(|off| told_by_both(verdict == Verdict::Pass, &off, c.tolerance)));
+    notes.extend(converged.map(|off| result_of_both(verdict == Verdict::Pass, &off, c.tolerance)));
     let detector = c.plan.settings.detectors[0].name.clone();
     findings.figures.push(figure(c, &detector, ours, reference, &d));
     Ok(Outcome {
@@ -179,7 +180,7 @@ fn explained(
             findings.checks.extend(checks_of(&likely));
             match likely.tried.first() {
                 Some(best) if best.rms * MUCH_BETTER < likely.now.min(left_in_place) => {
-                    return Ok(told(&likely, best));
+                    return Ok(explanation(&likely, best));
                 }
                 best => partly = best.filter(|b| b.rms * PARTLY < likely.now).cloned(),
             }
@@ -207,7 +208,7 @@ fn checks_of(likely: &LikelySettings) -> Vec<Check> {
 }
 
 /// Describes the setting that explains the difference, and the difference that the next best setting leaves.
-fn told(likely: &LikelySettings, best: &TriedChange) -> String {
+fn explanation(likely: &LikelySettings, best: &TriedChange) -> String {
     let mut text = format!(
         "{} explains the difference: rms {:.2} % of the mean in place of {:.2} %, at {} probes",
         best.words,
@@ -252,7 +253,7 @@ fn explained_by_place(
         findings.checks.push(left(&best, ", simulated"));
     }
     let start = best.shift.map_or_else(String::new, |shift| {
-        let at = [0, 1].map(|i| c.scan.origin_angstrom[i] + shift[i] * step[i]);
+        let at = plane::add(c.scan.origin_angstrom, plane::mul(shift, step));
         format!(
             "; its scan seems to start at {:.3}, {:.3} A (abTEM 1.0.11 writes 0, 0 into its files wherever a scan starts)",
             at[0], at[1]
@@ -292,8 +293,9 @@ fn beyond(
     stage: &str,
 ) -> Result<WideImage> {
     let step = inner.step_angstrom;
-    let origin_angstrom = [0, 1].map(|k| inner.origin_angstrom[k] - margin[k] as f64 * step[k]);
-    let shape = [0, 1].map(|i| inner.shape[i] + 2 * margin[1 - i]);
+    let origin_angstrom =
+        plane::sub(inner.origin_angstrom, plane::mul(margin.map(|n| n as f64), step));
+    let shape = plane::add(inner.shape, plane::swapped(margin).map(|n| 2 * n));
     let scan = Scan { origin_angstrom, step_angstrom: step, shape };
     Ok(WideImage { data: at_scan(progress, c, &scan, stage)?, margin })
 }
@@ -323,7 +325,7 @@ fn simulated(
     let narrow = margin(c.scan).map(|n| n.min(2));
     let look = |shift: [f64; 2]| -> Result<(Explanation, WideImage)> {
         let step = c.scan.step_angstrom;
-        let origin_angstrom = [0, 1].map(|i| c.scan.origin_angstrom[i] + shift[i] * step[i]);
+        let origin_angstrom = plane::add(c.scan.origin_angstrom, plane::mul(shift, step));
         let scan = Scan { origin_angstrom, ..*c.scan };
         let around = beyond(progress, c, &scan, narrow, "simulating a moved scan")?;
         let ours = around.inner();
@@ -356,7 +358,7 @@ fn simulated(
 }
 
 /// Describes the result of both comparisons: with abTEM's numerics, and converged.
-fn told_by_both(same_numerics: bool, converged: &Difference, tolerance: f64) -> String {
+fn result_of_both(same_numerics: bool, converged: &Difference, tolerance: f64) -> String {
     let off = format!("{:.2} % of the maximum", 100.0 * converged.largest);
     match (same_numerics, converged.largest <= tolerance) {
         (true, true) => {

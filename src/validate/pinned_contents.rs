@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn on_another_processor_the_names_are_compared_and_the_rest_is_told() {
+    fn on_another_processor_the_names_are_compared_and_the_rest_is_listed() {
         let known = contents("one", &IMAGE);
         let rounded = known.compare(&contents("two", &[("/tiles/*", "u"), ("/overview", "p")]));
         assert!(rounded.differs.is_empty() && rounded.compared == 2);

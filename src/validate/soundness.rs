@@ -11,6 +11,7 @@ use serde::Serialize;
 use super::truth_soundness::{check_boundaries, check_columns, check_sites};
 use crate::error::{Error, Result};
 use crate::io::{WorldFile, WorldMetadata};
+use crate::lengths;
 use crate::progress::Progress;
 use crate::recipe::OVERVIEW_FACTOR;
 use crate::recipe::Recipe;
@@ -224,7 +225,7 @@ fn check_counts(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFau
     else {
         return skipped("the file does not state that it holds counted electrons, or their dose");
     };
-    let electrons = dose * (10.0 * m.pixel_size_nm).powi(2);
+    let electrons = dose * lengths::square_angstrom2(m.pixel_size_nm);
     let mut noise = NoiseStatistics::default();
     for row in 0..m.grid_shape[0] {
         for column in 0..m.grid_shape[1] {

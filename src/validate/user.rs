@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn the_order_is_told_given_or_found_but_not_guessed() {
+    fn the_order_is_stated_given_or_found_but_not_guessed() {
         let plain = array(counted(3, 3), None);
         let text = reference(&plain, None, &[], None).unwrap_err().to_string();
         assert!(text.contains("xy or yx") && text.contains("r.npy"), "{text}");

@@ -9,7 +9,9 @@ use crate::error::{Error, Result};
 use crate::files::atomic_write;
 use crate::files::{OutputLock, disk_space};
 use crate::io::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, atom_type, writable};
+use crate::lengths;
 use crate::models::carbon::network::CARBON;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::region::Region;
 use crate::recipe::resolved_recipe::Recipe;
@@ -143,7 +145,7 @@ fn write_layers(
         }
         let mut out = Vec::new();
         for atom in layer.atoms(&area) {
-            let [x, y, z] = atom.position.map(|v| 0.1 * v);
+            let [x, y, z] = lengths::nm(atom.position);
             let row = AtomRow {
                 number: atom.number,
                 position_angstrom: frame.place([x + area.x[0], y + area.y[0], z]),
@@ -200,11 +202,11 @@ impl Frame {
     ) -> Self {
         let built = recipe.field.built_region();
         let vacuum = options.vacuum_angstrom;
-        let edge = |range: [f64; 2]| 10.0 * (range[1] - range[0]) + vacuum;
-        let specimen_angstrom = 10.0 * specimen.facts().thickness_nm;
+        let [width, height] = built.size_angstrom();
+        let specimen_angstrom = specimen.facts().thickness_angstrom();
         let thickness = layers.map_or(specimen_angstrom, SurfaceLayers::thickness_angstrom);
         Frame {
-            cell: [edge(built.x), edge(built.y), thickness + vacuum],
+            cell: [width + vacuum, height + vacuum, thickness + vacuum],
             corner_nm: [built.x[0] - 0.05 * vacuum, built.y[0] - 0.05 * vacuum],
             before_angstrom: layers.map_or(0.0, SurfaceLayers::before_angstrom),
             vacancies: options.vacancies,
@@ -254,7 +256,8 @@ impl Frame {
     /// Converts a place in nm of the full field, z counted from the face of the specimen, to a position in Angstrom in the cell.
     fn place(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         let [left, top] = self.corner_nm;
-        [10.0 * (x - left), 10.0 * (y - top), 10.0 * z + self.before_angstrom]
+        let [x, y, z] = lengths::angstrom([x - left, y - top, z]);
+        [x, y, z + self.before_angstrom]
     }
 }
 
@@ -263,7 +266,7 @@ fn header(recipe: &Recipe, frame: &Frame) -> AtomsHeader {
     let pixel = field.pixel_nm();
     let first = field.crop_origin_px();
     let origin = [first[1], first[0]].map(|p| p as f64 * pixel);
-    let [x, y] = [0, 1].map(|k| 10.0 * (origin[k] - frame.corner_nm[k]));
+    let [x, y] = lengths::angstrom(plane::sub(origin, frame.corner_nm));
     let mut sigmas = recipe.phonons.sigma_angstrom.clone();
     if let Some(surface) = &recipe.surface {
         sigmas.entry(elements::symbol(CARBON).into()).or_insert(surface.sigma_angstrom);
@@ -278,7 +281,7 @@ fn header(recipe: &Recipe, frame: &Frame) -> AtomsHeader {
             ("zone_axis", recipe.zone_axis.clone()),
             ("seed", recipe.seed.to_string()),
             ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
-            ("pixel_angstrom", (10.0 * pixel).to_string()),
+            ("pixel_angstrom", field.pixel_angstrom().to_string()),
             ("first_pixel_angstrom", format!("{x} {y}")),
             ("sigma", sigmas.collect::<Vec<_>>().join(",")),
         ],

@@ -4,15 +4,15 @@ use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, s};
 
+use super::field_scan::{FieldScan, FieldScanRows, ScannedRows};
+use super::subtile_store::SubtileStore;
+use super::subtiles::Partition;
 use crate::error::{Error, Result};
 use crate::imaging::Noise;
 use crate::io::WorldWriter;
 use crate::progress::{Progress, Silent};
 use crate::recipe::OVERVIEW_FACTOR;
 use crate::recipe::resolved_recipe::Recipe;
-use crate::world::field_scan::{FieldScan, FieldScanRows, ScannedRows};
-use crate::world::subtile_store::SubtileStore;
-use crate::world::subtiles::Partition;
 
 /// The image of a world, computed band by band from the sub-tiles on disk.
 pub(crate) struct BlendedImage<'a> {

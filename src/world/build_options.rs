@@ -200,7 +200,7 @@ impl BuildOptions {
         let prism = Algorithm::Prism { interpolation: self.interpolation.unwrap_or(INTERPOLATION) };
         if let Some(percent) = self.accuracy_percent {
             let simulator = Simulator::new(recipe, window);
-            let thickness_angstrom = 10.0 * recipe.field.thickness_nm;
+            let thickness_angstrom = recipe.field.thickness_angstrom();
             // The table ends at its least error; for smaller errors the audit finds whether the window is wide enough.
             let table = if percent > 0.0 { percent.max(LEAST_OF_TABLE) } else { percent };
             let choice = window_for(table, simulator.settings(), thickness_angstrom)?;

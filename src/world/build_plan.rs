@@ -17,6 +17,17 @@ use crate::simulation::PlanReport;
 /// fields).
 const PIXEL_S: [f64; 2] = [0.4e-6, 1.2e-6];
 
+/// Memory, time and threads of a build.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BuildNeeds {
+    /// Memory in bytes.
+    pub memory_bytes: u64,
+    /// Longest time in s that is expected on the threads of this process.
+    pub longest_s: f64,
+    /// Number of the threads of this process.
+    pub threads: usize,
+}
+
 /// The plan of a build: its size, memory, time and disk space.
 #[derive(Debug, Clone, Serialize)]
 pub struct WorldPlan {
@@ -120,13 +131,16 @@ impl WorldPlan {
         Ok(report(&SimulationRuns { runs: 0, ..subtile }).warnings)
     }
 
-    /// Returns the bytes of memory on `threads` threads, the longest time in s that is expected on the threads of this process, and the
-    /// number of those threads.
-    pub fn takes(&self, threads: usize) -> (u64, f64, usize) {
+    /// Returns what the build needs, with the memory for `threads` threads.
+    pub fn needs(&self, threads: usize) -> BuildNeeds {
         let more = threads as f64 / self.plan.threads as f64;
         // Memory that threads share is counted for each thread: the result is at most a little too large.
         let memory = self.plan.memory_bytes as f64 * more.max(1.0);
-        (memory as u64, self.plan.estimated_range_s[1], self.plan.threads)
+        BuildNeeds {
+            memory_bytes: memory as u64,
+            longest_s: self.plan.estimated_range_s[1],
+            threads: self.plan.threads,
+        }
     }
 
     /// Returns the time in s that is expected on the threads of this process.

@@ -3,6 +3,7 @@
 use crate::acquisition::{Exposure, ScanPath, SourceImage};
 use crate::error::{Error, Result};
 use crate::imaging::{CarbonPatch, GrownCarbon, MOST_GROWN_ANGSTROM};
+use crate::lengths;
 use crate::recipe::Region;
 use crate::setting::Setting;
 use crate::specimen::DoseMap;
@@ -44,7 +45,7 @@ impl<'a> GrowingCarbon<'a> {
 
     /// Mean thickness in nm in a region (nm of the full field) without its outermost 0.05 nm, where cells of the map reach beyond it.
     pub fn mean_nm(&self, region: &Region) -> f64 {
-        0.1 * self.angstrom.mean_within(region)
+        lengths::nm(self.angstrom.mean_within(region))
     }
 
     /// Adds the carbon that one frame deposits.
@@ -86,8 +87,8 @@ pub(crate) fn check_thickness(before: &DoseMap, more: &DoseMap, per_electron: f6
     let value = format!("contamination_angstrom3_per_electron = {per_electron}");
     let expected = format!(
         "the carbon would become {:.2} nm thick, and at most {} nm can be imaged: take a smaller dose or rate",
-        0.1 * greatest,
-        0.1 * MOST_GROWN_ANGSTROM
+        lengths::nm(greatest),
+        lengths::nm(MOST_GROWN_ANGSTROM)
     );
     Err(Error::invalid(Setting::Acquisition, value, expected))
 }

@@ -9,6 +9,7 @@ use crate::acquisition::{Acquisition, Exposure, Recorder, ScanFrame, ScanPath, S
 use crate::engine::check_memory;
 use crate::error::{Error, Result};
 use crate::imaging::GrownCarbon;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe, Region};
 use crate::resample::MARGIN;
@@ -200,7 +201,7 @@ pub(crate) fn record_over(
     let region = region_of(&frame).grown(-0.5 * frame.pixel_nm);
     let meant = [region.x, region.y];
     let reach = recorder.path().reach_nm(0..frame.shape[0]);
-    let reach = [0, 1].map(|k| [reach[k][0].min(meant[k][0]), reach[k][1].max(meant[k][1])]);
+    let reach = plane::per_axis(reach, meant, |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
     check_size(&frame, reach, recipe.field.pixel_nm(), options)?;
     let image = source.image(reach, progress)?;
     let carbon = carbon.map(|before| GrowingCarbon::new(before, &image, rate)).transpose()?;
@@ -212,7 +213,7 @@ pub(crate) fn record_over(
     let position_in_image = appearances(path, &columns, options);
     let drift = path.drift_curve();
     Ok(FieldRecording {
-        frame: ScanFrame { origin_nm: [0, 1].map(|k| frame.origin_nm[k] - origin[k]), ..frame },
+        frame: ScanFrame { origin_nm: plane::sub(frame.origin_nm, origin), ..frame },
         options: *options,
         exposure: *recorder.exposure(),
         data: lines.data,
@@ -231,7 +232,7 @@ pub(crate) fn record_over(
 fn meant_image(frame: &ScanFrame, image: &SourceImage) -> Array2<f32> {
     Array2::from_shape_fn(frame.shape, |(row, column)| {
         let at = [column, row].map(|p| p as f64 * frame.pixel_nm);
-        image.at([0, 1].map(|k| frame.origin_nm[k] + at[k])) as f32
+        image.at(plane::add(frame.origin_nm, at)) as f32
     })
 }
 
@@ -288,7 +289,7 @@ fn recorder(frame: &ScanFrame, options: &RecordingOptions) -> Result<Recorder> {
     acquisition.check().map_err(|Fault { key, value, expected }| {
         Error::invalid(Setting::Acquisition, format!("{key} = {value}"), expected)
     })?;
-    let (dwell, frames, pixel) = (acquisition.dwell_us, acquisition.frames, 10.0 * frame.pixel_nm);
+    let (dwell, frames, pixel) = (acquisition.dwell_us, acquisition.frames, frame.pixel_angstrom());
     let exposure = match options.electrons {
         Electrons::Dose(dose) => Exposure::of_dose(dose, dwell, frames, pixel)?,
         Electrons::CurrentPa(current) => Exposure::of_current(current, dwell, frames, pixel)?,

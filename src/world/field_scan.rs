@@ -5,11 +5,12 @@ use std::sync::Arc;
 
 use ndarray::{Array2, s};
 
-use super::noise_free::{band_limit, refinement};
+use super::noise_free::refinement;
 use crate::acquisition::{
     Acquisition, Exposure, Recorder, ScanFrame, ScanPath, SourceImage, clipping_warning,
 };
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::recipe::Recipe;
 use crate::resample::{Kernel, TAPS, samples_around};
 use crate::setting::Setting;
@@ -58,10 +59,12 @@ impl FieldScan {
             return Err(Error::invalid(Setting::TilePixels, value, expected));
         }
         let (dose, dwell) = (recipe.dose.electrons_per_angstrom2, acquisition.dwell_us);
-        let exposure = Exposure::of_dose(dose, dwell, acquisition.frames, 10.0 * pixel_nm)?;
+        let exposure =
+            Exposure::of_dose(dose, dwell, acquisition.frames, lengths::angstrom(pixel_nm))?;
         let frame = ScanFrame { shape: meant, pixel_nm, origin_nm: [0.0; 2] };
         let path = ScanPath::new(&acquisition, frame, recipe.seed);
-        let kernel = Arc::new(Kernel::new(10.0 * source_nm, band_limit(recipe))?);
+        let kernel =
+            Arc::new(Kernel::new(lengths::angstrom(source_nm), recipe.optics.image_band_limit())?);
         let recorder = Recorder::new(&acquisition, path, exposure, recipe.seed);
         Ok(Some(FieldScan { acquisition, recorder, kernel, pixel_nm: source_nm, shape }))
     }

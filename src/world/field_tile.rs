@@ -6,6 +6,7 @@ use super::region_truth::{ColumnTruth, SiteTruth, boundary_parts, list, phase_ma
 use crate::error::{Error, Result};
 use crate::imaging::{Noise, check_countable};
 use crate::imaging::{PixelRect, RegionImager};
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe};
 use crate::specimen::{BoundaryKind, ParticleTruth, Specimen};
@@ -41,7 +42,7 @@ pub struct FieldTile {
 impl FieldTile {
     /// Converts a position (x, y) in nm to (row, column) in pixels of the tile.
     pub fn place_px(&self, position_nm: [f64; 2]) -> [f64; 2] {
-        [1, 0].map(|k| (position_nm[k] - self.origin_nm[k]) / self.pixel_nm)
+        plane::swapped(plane::sub(position_nm, self.origin_nm)).map(|d| d / self.pixel_nm)
     }
 }
 
@@ -96,7 +97,7 @@ pub(crate) fn tile_of_image(
     Ok(FieldTile {
         pixels: *pixels,
         pixel_nm: pixel,
-        origin_nm: [1, 0].map(|k| pixels.first[k] as f64 * pixel - built[1 - k]),
+        origin_nm: plane::sub(plane::swapped(pixels.first).map(|n| n as f64 * pixel), built),
         clean,
         counts,
         sites,
@@ -127,7 +128,7 @@ fn check(recipe: &Recipe, pixels: &PixelRect, dose: Option<f64>) -> Result<()> {
             Err(Error::invalid(crate::Setting::Dose, dose, expected))
         }
         None => {
-            let pixel = 10.0 * recipe.field.pixel_nm();
+            let pixel = recipe.field.pixel_angstrom();
             dose.map_or(Ok(()), |dose| check_countable(dose, pixel * pixel))
         }
     }

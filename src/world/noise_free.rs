@@ -5,36 +5,27 @@ use ndarray::Array2;
 use crate::acquisition::SourceImage;
 use crate::error::{Error, Result};
 use crate::imaging::{PixelRect, RegionImager};
-use crate::optics::Optics;
+use crate::lengths;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe};
-use crate::resample::{MARGIN, image_band_limit, nyquist_step, samples_around};
+use crate::resample::{MARGIN, nyquist_step, samples_around};
 use crate::setting::Setting;
 
 /// Largest edge of a pixel of the source as a fraction of the inverse band limit. Finer pixels are interpolated with an error of about 0.01
 /// % of the contrast (see [`crate::resample::Kernel`]).
 const FINE_ENOUGH: f64 = 0.42;
 
-/// Returns the highest frequency in images of a recipe, in 1/Angstrom.
-pub(crate) fn band_limit(recipe: &Recipe) -> f64 {
-    let optics = &recipe.optics;
-    image_band_limit(&Optics {
-        energy_ev: 1e3 * optics.energy_kv,
-        semiangle_mrad: optics.convergence_mrad,
-        ..Optics::default()
-    })
-}
-
 /// Returns the number of parts along each axis into which the pixels of a recipe must be divided for its image to be recorded.
 pub fn refinement(recipe: &Recipe) -> usize {
-    let product = 10.0 * recipe.field.pixel_nm() * band_limit(recipe);
+    let product = recipe.field.pixel_angstrom() * recipe.optics.image_band_limit();
     ((product / FINE_ENOUGH).ceil() as usize).max(1)
 }
 
 /// Returns the reason why a field cannot be recorded at its own pixel; `None` if it can.
 pub(crate) fn too_coarse(recipe: &Recipe) -> Option<Error> {
     let pixel = recipe.field.pixel_nm();
-    let needed = 0.1 * nyquist_step(band_limit(recipe));
+    let needed = lengths::nm(nyquist_step(recipe.optics.image_band_limit()));
     (pixel > needed).then(|| {
         let (tile, overlap) = (2 * recipe.field.tile_px, 2 * recipe.field.overlap_px);
         let expected = format!(
@@ -107,7 +98,7 @@ pub trait NoiseFree {
         let pixels = PixelRect::new([row, column], [rows, columns]);
         let values = self.pixels(&pixels, progress)?;
         let origin = [column, row].map(|p| p as f64 * pixel);
-        SourceImage::new(values, pixel, origin, band_limit(self.recipe()))
+        SourceImage::new(values, pixel, origin, self.recipe().optics.image_band_limit())
     }
 }
 
@@ -141,7 +132,7 @@ impl NoiseFree for ImagerSource<'_> {
 /// The error for a beam that leaves the field.
 fn beyond(recipe: &Recipe, reach: [[f64; 2]; 2], inside: [[f64; 2]; 2]) -> Error {
     let origin = recipe.field.origin_nm();
-    let own = |r: [[f64; 2]; 2]| [0, 1].map(|k| r[k].map(|nm| nm - origin[k]));
+    let own = |r: [[f64; 2]; 2]| plane::per_axis(r, origin, |ends, zero| ends.map(|nm| nm - zero));
     let (reach, inside) = (own(reach), own(inside));
     let text = |r: [[f64; 2]; 2]| {
         let [[x0, x1], [y0, y1]] = r;

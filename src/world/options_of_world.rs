@@ -1,5 +1,6 @@
 //! The options that a world was built with, reconstructed from the metadata of its file.
 
+use super::world_build::WorldBuild;
 use crate::engine::{Algorithm, Expansion, Settings};
 use crate::error::Result;
 use crate::imaging::film::film_imager::film_settings;
@@ -7,7 +8,6 @@ use crate::imaging::{Audit, Cache, MethodChoice};
 use crate::io::WorldFile;
 use crate::recipe::CheckedRecipe;
 use crate::world::build_options::{BuildMethod, BuildOptions, BuildProfile};
-use crate::world::world_build::WorldBuild;
 
 /// Lengths whose difference in nm is below this value count as equal.
 const SAME_NM: f64 = 1e-9;

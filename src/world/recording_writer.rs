@@ -6,6 +6,7 @@ use super::field_recording::FieldRecording;
 use super::truth;
 use crate::error::Result;
 use crate::io::{RecordingFile, TruthWriter, write_recording};
+use crate::plane;
 use crate::recipe::CheckedRecipe;
 use crate::specimen::Specimen;
 
@@ -56,7 +57,7 @@ impl FieldRecording {
         writer: &TruthWriter,
     ) -> Result<()> {
         let first = recipe.field.origin_nm();
-        let origin = [0, 1].map(|k| first[k] + self.frame.origin_nm[k]);
+        let origin = plane::add(first, self.frame.origin_nm);
         truth::write_recorded(specimen, self, origin, writer)
     }
 }

@@ -19,6 +19,7 @@ use ndarray::Array1;
 use super::training_set::TrainingSet;
 use crate::error::Result;
 use crate::io::write_npz;
+use crate::lengths;
 
 /// The fields of `columns` in NumPy's notation of data types.
 const COLUMN_FIELDS: &str = "[('sample', '<i4'), ('x_px', '<f4'), ('y_px', '<f4'), ('class', '<i4'), ('number', '<i4'), \
@@ -46,7 +47,7 @@ pub fn write_training_set(
         if set.dose.iter().all(|dose| dose.is_finite()) {
             npz.add("dose", &set.dose)?;
         }
-        npz.add("pixel_nm", &Array1::from_elem(tiles, 0.1 * set.pixel_angstrom))?;
+        npz.add("pixel_nm", &Array1::from_elem(tiles, lengths::nm(set.pixel_angstrom)))?;
         npz.add("angle_deg", &Array1::<f64>::zeros(tiles))?;
         npz.add("centre_nm", &set.centres_nm)?;
         npz.add("index", &Array1::from_iter(0..tiles as i64))?;

@@ -8,6 +8,8 @@ use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::imaging::{Noise, check_countable};
 use crate::imaging::{RegionImager, TurnedRaster, turned_image, turned_images_of_others};
+use crate::lengths;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Field};
 use crate::rng::{self, Purpose};
@@ -105,7 +107,7 @@ impl SampleOptions {
             let expected = "expected 0.001 to 1e12 electrons per square Angstrom, the lower first";
             return refuse(Setting::Dose, format!("{low}, {high}"), expected.into());
         }
-        check_countable(high, (10.0 * self.pixel_nm[1]).powi(2))?;
+        check_countable(high, lengths::square_angstrom2(self.pixel_nm[1]))?;
         if !rises(self.angle_rad) {
             let expected = "expected two angles, the lower first".into();
             return refuse(Setting::RecordedRegionNm, format!("{:?}", self.angle_rad), expected);
@@ -148,7 +150,7 @@ impl SampleOptions {
         let pixel_nm = log(self.pixel_nm, PIXEL);
         let room = self.room_nm(field, pixel_nm);
         let raster = TurnedRaster {
-            centre_nm: [0, 1].map(|k| even(room[k], PLACE[k])),
+            centre_nm: plane::per_axis(room, PLACE, even),
             pixel_nm,
             angle_rad: even(self.angle_rad, ANGLE),
             shape: [self.size_px; 2],
@@ -172,7 +174,7 @@ pub fn training_sample(
     options.check(&recipe.field)?;
     let (raster, dose) = options.draw(&recipe.field, index);
     let clean = turned_image(recipe, imager, &raster, progress)?.mapv(|v| v as f32);
-    let electrons_per_pixel = dose * (10.0 * raster.pixel_nm).powi(2);
+    let electrons_per_pixel = dose * (raster.pixel_angstrom()).powi(2);
     let size = options.size_px;
     let place_nm = raster.places_nm();
     // Each sample takes its noise from other rows of an endless field of noise.
@@ -226,7 +228,7 @@ impl TrainingSample {
         let (mut heat, mut mask) = (self.heat_map.view_mut(), self.class_mask.view_mut());
         let (mut positions, mut facts) = (Vec::new(), Vec::new());
         for column in &columns {
-            let place = [0, 1].map(|k| centre[k] + f64::from(column.position_nm[k]));
+            let place = plane::add(centre, column.position_nm.map(f64::from));
             let at = raster.place_px(place);
             draw_column(at, class_of(column), sigma_px, &mut heat, &mut mask);
             if (-0.5..rows).contains(&at[0]) && (-0.5..width).contains(&at[1]) {

@@ -9,6 +9,7 @@ use super::region_truth::{list, phase_map};
 use crate::error::{Error, Result};
 use crate::imaging::Noise;
 use crate::imaging::{PixelRect, RegionImager};
+use crate::plane;
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::CheckedRecipe;
 use crate::rng::{self, Purpose};
@@ -97,7 +98,7 @@ pub fn training_set(
 ) -> Result<TrainingSet> {
     check(recipe, options)?;
     let (n, size) = (options.tiles, options.size_px);
-    let mut set = TrainingSet::empty(n, size, 10.0 * recipe.field.pixel_nm());
+    let mut set = TrainingSet::empty(n, size, recipe.field.pixel_angstrom());
     let mut blocks = TileBlocks { recipe, imager, made: HashMap::new() };
     let mut lists = ColumnLists::default();
     progress.start("tiles", "tile", n as u64);
@@ -107,7 +108,7 @@ pub fn training_set(
         }
         let (corner, dose) = draw(recipe, options, tile as u64);
         let origin = recipe.field.crop_origin_px();
-        let pixels = PixelRect::new([0, 1].map(|k| origin[k] + corner[k]), [size; 2]);
+        let pixels = PixelRect::new(plane::add(origin, corner), [size; 2]);
         let clean = blocks.image(&pixels, &InterruptOnly(progress))?;
         let noise = Noise {
             seed: options.seed,
@@ -194,8 +195,8 @@ impl TileBlocks<'_> {
         for (row, column) in range(0).flat_map(|r| range(1).map(move |c| (r, c))) {
             let start = [origin[0] + row * BLOCK_PX, origin[1] + column * BLOCK_PX];
             let block = self.block([row, column], start, progress)?;
-            let low = [0, 1].map(|k| first[k].max(start[k]));
-            let high = [0, 1].map(|k| (first[k] + shape[k]).min(start[k] + BLOCK_PX));
+            let low = plane::max(first, start);
+            let high = plane::min(plane::add(first, shape), start.map(|n| n + BLOCK_PX));
             let part = |from: [usize; 2]| {
                 s![low[0] - from[0]..high[0] - from[0], low[1] - from[1]..high[1] - from[1]]
             };
@@ -213,7 +214,7 @@ impl TileBlocks<'_> {
         if !self.made.contains_key(&index) {
             let field = &self.recipe.field;
             let (origin, built) = (field.crop_origin_px(), field.pixels(field.built_grid()));
-            let shape = [0, 1].map(|k| BLOCK_PX.min(origin[k] + built[k] - start[k]));
+            let shape = plane::sub(plane::add(origin, built), start).map(|n| n.min(BLOCK_PX));
             let configurations = self.recipe.phonons.configurations.max(1);
             let made =
                 self.imager.mean_of(&PixelRect::new(start, shape), configurations, progress)?;
@@ -235,7 +236,7 @@ impl ColumnLists {
     /// Adds a column of a tile at (row, column) in pixels, with its facts.
     pub(crate) fn add(&mut self, tile: usize, at: [f64; 2], facts: [i32; 5]) {
         self.tiles.push(tile as i32);
-        self.positions.push([1, 0].map(|k| at[k] as f32));
+        self.positions.push(plane::swapped(at).map(|px| px as f32));
         self.facts.push(facts);
     }
 
@@ -267,7 +268,7 @@ impl TrainingSet {
     /// Records the place of a tile: its first pixel (row, column) in the full field.
     pub(crate) fn place(&mut self, tile: usize, first: [usize; 2]) {
         let half = 0.5 * (self.images.len_of(Axis(1)) as f64 - 1.0);
-        let centre = [1, 0].map(|k| (first[k] as f64 + half) * 0.1 * self.pixel_angstrom);
+        let centre = plane::swapped(first).map(|n| (n as f64 + half) * 0.1 * self.pixel_angstrom);
         self.centres_nm.row_mut(tile).assign(&Array1::from(centre.to_vec()));
     }
 
@@ -284,13 +285,13 @@ impl TrainingSet {
         let pixel = recipe.field.pixel_nm();
         let around = pixels.region(pixel).grown(REACH_SIGMAS * sigma_px * pixel);
         // Positions count from the centre of the tile's first pixel.
-        let origin = [1, 0].map(|k| (pixels.first[k] as f64) * pixel);
+        let origin = plane::swapped(pixels.first).map(|n| n as f64 * pixel);
         let (_, columns) = list(&specimen.query(&around), origin, 0);
         let mut heat = self.heat_maps.index_axis_mut(Axis(0), tile);
         let mut mask = self.class_masks.index_axis_mut(Axis(0), tile);
         let size = heat.dim().0 as f64;
         for column in &columns {
-            let at = [1, 0].map(|k| f64::from(column.position_nm[k]) / pixel);
+            let at = plane::swapped(column.position_nm).map(|nm| f64::from(nm) / pixel);
             draw_column(at, class_of(column), sigma_px, &mut heat, &mut mask);
             if at.iter().all(|v| (-0.5..size - 0.5).contains(v)) {
                 lists.add(tile, at, facts_of(column));

@@ -9,6 +9,7 @@ use crate::io::{
     DislocationRow, LayerRow, LineKind, ParticleBatch, TruthBatch, TruthWriter, WorldWriter,
     atom_type,
 };
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{Field, Region};
 use crate::specimen::stripes::for_each_stripe;
@@ -145,7 +146,7 @@ fn write_lines_and_particles(
     let clusters = &specimen.facts().clusters_nm;
     if !clusters.is_empty() {
         let inside = clusters.iter().filter(|centre| region.contains(**centre));
-        let place = |centre: &[f64; 2]| [0, 1].map(|k| (centre[k] - origin[k]) as f32);
+        let place = |centre: &[f64; 2]| plane::sub(*centre, origin).map(|nm| nm as f32);
         writer.clusters(&inside.map(place).collect::<Vec<_>>())?;
     }
     write_particles(specimen, region, origin, writer)
@@ -162,7 +163,7 @@ fn interfaces_of(specimen: &dyn Specimen) -> Vec<Vec<[f64; 2]>> {
 
 /// Computes the distance of a column at (x, y) in nm from `origin` to the nearest line, in nm.
 fn distance(lines: &[Vec<[f64; 2]>], position_nm: [f32; 2], origin: [f64; 2]) -> f32 {
-    let at = [0, 1].map(|k| f64::from(position_nm[k]) + origin[k]);
+    let at = plane::add(position_nm.map(f64::from), origin);
     let segments = lines.iter().flat_map(|line| line.windows(2));
     let to = |ends: &[[f64; 2]]| {
         let [a, b] = [ends[0], ends[1]];
@@ -196,7 +197,7 @@ fn write_stack(
     let inside = stack.dislocations.iter().filter(|d| region.contains(d.position_nm));
     let rows: Vec<DislocationRow> = inside
         .map(|d| {
-            let place = [0, 1].map(|k| (d.position_nm[k] - origin[k]) as f32);
+            let place = plane::sub(d.position_nm, origin).map(|nm| nm as f32);
             DislocationRow::new(place, d.burgers_nm.map(|b| b as f32))
         })
         .collect();

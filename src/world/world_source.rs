@@ -6,6 +6,7 @@ use super::noise_free::NoiseFree;
 use crate::error::Result;
 use crate::imaging::PixelRect;
 use crate::io::WorldFile;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::CheckedRecipe;
 
@@ -25,7 +26,7 @@ impl NoiseFree for WorldSource<'_> {
     fn extent_px(&self) -> [[usize; 2]; 2] {
         let field = &self.recipe.field;
         let (first, shape) = (field.crop_origin_px(), field.pixels(field.built_grid()));
-        [first, [0, 1].map(|k| first[k] + shape[k])]
+        [first, plane::add(first, shape)]
     }
 
     fn pixels(&self, pixels: &PixelRect, _progress: &dyn Progress) -> Result<Array2<f32>> {

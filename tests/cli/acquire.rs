@@ -82,10 +82,11 @@ fn a_world_and_its_recipe_are_recorded_alike() {
     let recipe =
         ["acquire", "test", "--set", "field.fov_nm=[5.04, 7.52]", "-o", "r.h5", "--stages"];
     let thin = ["--set", "field.thickness_nm=0.4"];
-    let told = json(stemgen(here).args(recipe).args(thin).args(place));
-    assert_eq!(told["source"], "made from the recipe");
-    let told = json(stemgen(here).args(["acquire", "w.h5", "-o", "w1.h5", "--stages"]).args(place));
-    assert_eq!(told["source"], "the noise-free image of the world");
+    let printed = json(stemgen(here).args(recipe).args(thin).args(place));
+    assert_eq!(printed["source"], "made from the recipe");
+    let printed =
+        json(stemgen(here).args(["acquire", "w.h5", "-o", "w1.h5", "--stages"]).args(place));
+    assert_eq!(printed["source"], "the noise-free image of the world");
     let again = ["acquire", "w.h5", "-o", "w2.h5", "--stages", "--threads", "1"];
     json(stemgen(here).args(again).args(place));
     println!("{}", python("check_recordings.py", &[Path::new("alike"), here]));
@@ -104,12 +105,12 @@ fn worlds_are_recorded_in_one_scan() {
         command.args(["-o", name]).args(options);
         command
     };
-    let told = json(&mut build("plain.h5", &[]));
-    assert_eq!(told["acquisition"], serde_json::Value::Null);
+    let printed = json(&mut build("plain.h5", &[]));
+    assert_eq!(printed["acquisition"], serde_json::Value::Null);
     let poor = ["--acquisition", "poor", "--set", "acquisition.drift_nm_per_s=[0.2, 0.1]"];
     let poor = [&poor[..], &["--set", "seed=3"]].concat();
-    let told = json(&mut build("poor.h5", &poor));
-    assert_eq!(told["acquisition"]["bits"], 8);
+    let printed = json(&mut build("poor.h5", &poor));
+    assert_eq!(printed["acquisition"]["bits"], 8);
     assert!(build("again.h5", &poor).args(["--threads", "1", "-q"]).status().unwrap().success());
     let read = |name: &str| std::fs::read(here.join(name)).unwrap();
     assert!(read("poor.h5") == read("again.h5"), "threads change the recording");
@@ -137,13 +138,13 @@ fn worlds_are_recorded_in_one_scan() {
     coarse("coarse.h5", &["--acquisition", "ideal"]);
     println!("{}", python("check_recordings.py", &[Path::new("coarse"), here]));
     // Of a single tile, all but the edges.
-    let told = json(stemgen(here).args(["acquire", "coarse_plain.h5", "-o", "whole.h5"]));
-    assert_eq!(told["shape"], serde_json::json!([120, 120]));
+    let printed = json(stemgen(here).args(["acquire", "coarse_plain.h5", "-o", "whole.h5"]));
+    assert_eq!(printed["shape"], serde_json::json!([120, 120]));
 
-    let told = fails(&mut build("x.h5", &["--acquisition", "poor", "--no-noise"]));
-    assert!(told.contains("--no-noise"), "{told}");
-    let told = fails(&mut build("x.h5", &["--set", "acquisition.frames=2", "--no-noise"]));
-    assert!(told.contains("a recording has noise"), "{told}");
+    let printed = fails(&mut build("x.h5", &["--acquisition", "poor", "--no-noise"]));
+    assert!(printed.contains("--no-noise"), "{printed}");
+    let printed = fails(&mut build("x.h5", &["--set", "acquisition.frames=2", "--no-noise"]));
+    assert!(printed.contains("a recording has noise"), "{printed}");
 }
 
 #[test]
@@ -151,9 +152,9 @@ fn what_cannot_be_recorded_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let refused = |options: &[&str], parts: &[&str]| {
-        let told = fails(stemgen(here).args(["acquire", "test", "-o", "x.h5"]).args(options));
+        let printed = fails(stemgen(here).args(["acquire", "test", "-o", "x.h5"]).args(options));
         for part in parts {
-            assert!(told.contains(part), "{options:?}: no `{part}` in {told}");
+            assert!(printed.contains(part), "{options:?}: no `{part}` in {printed}");
         }
         assert!(!here.join("x.h5").exists());
     };
@@ -173,6 +174,6 @@ fn what_cannot_be_recorded_is_refused() {
     );
     refused(&["--dose", "1e30"], &["dose"]);
     refused(&["--current-pa", "1e9"], &["pA"]);
-    let told = fails(stemgen(here).args(["acquire", "test", "-o", "x.png"]));
-    assert!(told.contains("did you mean x.h5"), "{told}");
+    let printed = fails(stemgen(here).args(["acquire", "test", "-o", "x.png"]));
+    assert!(printed.contains("did you mean x.h5"), "{printed}");
 }

@@ -17,14 +17,14 @@ const SUBTILES: [&str; 4] = ["--subtile", "0.6", "--subtile-overlap", "0.1"];
 #[test]
 fn a_world_is_built_with_its_picture() {
     let folder = tempfile::tempdir().unwrap();
-    let told = fails(tiny(folder.path()).args(["--seed", "9223372036854775808"]));
-    assert!(told.contains("at most 9223372036854775807"), "{told}");
+    let printed = fails(tiny(folder.path()).args(["--seed", "9223372036854775808"]));
+    assert!(printed.contains("at most 9223372036854775807"), "{printed}");
     let run = tiny(folder.path()).args(["--seed", "7", "--keep-clean"]).output().unwrap();
     assert!(run.status.success(), "{}", stderr(&run));
-    let told = stdout(&run);
+    let printed = stdout(&run);
     let names = ["worlds/tiny_seed7.h5", "worlds/tiny_seed7.png"];
     for part in names.into_iter().chain(["2 x 2: 28 x 28 pixels", "window, 1 sub-tile"]) {
-        assert!(told.contains(part), "{part}: {told}");
+        assert!(printed.contains(part), "{part}: {printed}");
     }
     let digest = python("digest.py", &[&folder.path().join("worlds/tiny_seed7.h5")]);
     for part in ["clean/1_1 (16, 16) float32", "ground_truth/atom_positions", "overview"] {
@@ -43,10 +43,10 @@ fn a_world_is_written_for_hyperspy_too() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = tiny(folder.path());
     command.args(["--keep-clean", "--hspy", "--no-png", "-o", "w.h5"]);
-    let told = stdout(&command.output().unwrap());
-    assert!(told.contains("w.hspy"), "{told}");
-    let told = python("check_world_hspy.py", &[&folder.path().join("w.h5")]);
-    assert_eq!(told, "HAADF, HAADF_clean\n");
+    let printed = stdout(&command.output().unwrap());
+    assert!(printed.contains("w.hspy"), "{printed}");
+    let printed = python("check_world_hspy.py", &[&folder.path().join("w.h5")]);
+    assert_eq!(printed, "HAADF, HAADF_clean\n");
     // what is there is kept
     let mut again = tiny(folder.path());
     let message = fails(again.args(["--hspy", "--no-png", "-o", "w.h5", "--seed", "9"]));
@@ -91,9 +91,12 @@ fn a_largest_error_is_kept() {
         command
     };
     let run = limited("20%", "good.h5").output().unwrap();
-    let told = stdout(&run);
+    let printed = stdout(&run);
     assert!(run.status.success(), "{}", stderr(&run));
-    assert!(told.contains("rms at bright columns") && told.contains("multislice"), "{told}");
+    assert!(
+        printed.contains("rms at bright columns") && printed.contains("multislice"),
+        "{printed}"
+    );
     let audit = &json(limited("20%", "again.h5").arg("--quiet"))["audit"];
     for error in ["bright_rms_percent", "all_rms_percent"] {
         assert!((0.0..20.0).contains(&audit[error].as_f64().unwrap()), "{audit}");
@@ -109,20 +112,20 @@ fn a_largest_error_is_kept() {
     // Where no window is so right, the exact engine, said beforehand with its time.
     let mut exact = limited("0.001%", "exact.h5");
     let run = exact.arg("--json").output().unwrap();
-    let told = stderr(&run);
+    let printed = stderr(&run);
     for part in [
         "at most 0.001 % was asked for",
         "the exact engine simulates the whole field, which needs about",
     ] {
-        assert!(told.contains(part), "no `{part}` in\n{told}");
+        assert!(printed.contains(part), "no `{part}` in\n{printed}");
     }
     assert!(
         stdout(&run).contains("\"engine\":\"multislice\"")
             || stdout(&run).contains("\"engine\": \"multislice\"")
     );
-    let told = fails(limited("20%", "impossible.h5").args(["--audit", "0"]));
+    let printed = fails(limited("20%", "impossible.h5").args(["--audit", "0"]));
     for part in ["largest error (%) = 20: needs an audit of at least one region", "--audit"] {
-        assert!(told.contains(part), "no `{part}` in\n{told}");
+        assert!(printed.contains(part), "no `{part}` in\n{printed}");
     }
     let mut written = std::fs::read_dir(here).unwrap().map(|e| e.unwrap().file_name());
     assert!(written.all(|n| !n.to_string_lossy().starts_with("impossible")));
@@ -133,9 +136,9 @@ fn a_largest_error_is_kept() {
 fn the_example_of_the_readme_reads_a_world() {
     let folder = tempfile::tempdir().unwrap();
     let built = json(tiny(folder.path()).args(["--no-png", "-o", "w.h5"]));
-    let told = python("../../worlds/example.py", &[&folder.path().join("w.h5")]);
-    let lines: Vec<&str> = told.lines().collect();
-    assert!(lines[0].starts_with("28 x 28 pixels, "), "{told}");
+    let printed = python("../../worlds/example.py", &[&folder.path().join("w.h5")]);
+    let lines: Vec<&str> = printed.lines().collect();
+    assert!(lines[0].starts_with("28 x 28 pixels, "), "{printed}");
     let columns = format!("{} columns, {} vacant sites", built["columns"], built["vacancies"]);
     assert_eq!(lines[1], columns);
     let electrons: u64 =
@@ -187,15 +190,23 @@ fn an_audit_takes_the_settings_of_the_world() {
     for (limit, code) in [("99", 0), ("0.0001", 3)] {
         let mut command = audit(&["--regions", "1", "--quiet", "--max-error", limit]);
         let run = command.output().unwrap();
-        let told = stderr(&run);
-        assert_eq!((run.status.code(), stdout(&run).as_str()), (Some(code), ""), "{limit}: {told}");
-        assert_eq!(told.contains("warning: the audit: far off"), code == 3, "{limit}: {told}");
-        assert!(code == 0 || told.contains("at most 0.0001 % are allowed"), "{told}");
+        let printed = stderr(&run);
+        assert_eq!(
+            (run.status.code(), stdout(&run).as_str()),
+            (Some(code), ""),
+            "{limit}: {printed}"
+        );
+        assert_eq!(
+            printed.contains("warning: the audit: far off"),
+            code == 3,
+            "{limit}: {printed}"
+        );
+        assert!(code == 0 || printed.contains("at most 0.0001 % are allowed"), "{printed}");
     }
 }
 
 #[test]
-fn a_dry_run_tells_the_plan() {
+fn a_dry_run_prints_the_plan() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = stemgen(folder.path());
     command.args(["build", "srtio3", "--difficulty", "easy", "--grid", "2x2", "--dry-run"]);
@@ -208,7 +219,7 @@ fn a_dry_run_tells_the_plan() {
 }
 
 #[test]
-fn the_plan_of_a_mosaic_tells_what_is_new_and_what_the_audit_takes() {
+fn the_plan_of_a_mosaic_lists_what_is_new_and_what_the_audit_takes() {
     let folder = tempfile::tempdir().unwrap();
     let cache = folder.path().join("cache");
     let mosaic = |arguments: &[&str]| {
@@ -274,11 +285,12 @@ fn an_interrupted_build_leaves_no_file_and_goes_on() {
     let first = folder.path().join("w.h5.work/subtile_000000.bin");
     let point = Point::on("a sub-tile is written", "renameat", "w.h5.work/subtile_000000.bin");
     let stopped = meets(stemgen(folder.path()).args(&arguments), point, "signal=SIGTERM");
-    let told = stderr(&stopped);
-    assert_eq!(stopped.status.code(), Some(143), "{told}");
+    let printed = stderr(&stopped);
+    assert_eq!(stopped.status.code(), Some(143), "{printed}");
     assert!(
-        told.contains("error: interrupted") && told.contains("repeat the command to continue"),
-        "{told}"
+        printed.contains("error: interrupted")
+            && printed.contains("repeat the command to continue"),
+        "{printed}"
     );
     assert!(!folder.path().join("w.h5").exists() && first.exists());
     let other = fails(stemgen(folder.path()).args(&arguments).args(["--seed", "6"]));

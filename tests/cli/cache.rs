@@ -38,27 +38,27 @@ fn fill(folder: &Path) {
 }
 
 /// Material and number of images, as `--json` tells them.
-fn materials(told: &serde_json::Value) -> Vec<(String, u64)> {
+fn materials(shown: &serde_json::Value) -> Vec<(String, u64)> {
     let of = |m: &serde_json::Value| {
         assert!(m["bytes"].as_u64().unwrap() > 1000, "{m}");
         (m["material"].as_str().unwrap().to_owned(), m["images"].as_u64().unwrap())
     };
-    told["materials"].as_array().unwrap().iter().map(of).collect()
+    shown["materials"].as_array().unwrap().iter().map(of).collect()
 }
 
 #[test]
 fn an_empty_cache_holds_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let told = printed(&mut cache(here, &["list"]));
+    let shown = printed(&mut cache(here, &["list"]));
     let place = here.join("cache").display().to_string();
-    assert!(told.contains(&place) && told.contains("nothing"), "{told}");
+    assert!(shown.contains(&place) && shown.contains("nothing"), "{shown}");
     let listed = json(&mut cache(here, &["list"]));
     assert_eq!(listed["folder"].as_str(), Some(place.as_str()));
     assert!(materials(&listed).is_empty());
     assert!(printed(&mut cache(here, &["clear"])).contains("nothing"));
-    let told = fails(&mut cache(here, &["clear", "tiny"]));
-    assert!(told.contains("no simulations of `tiny`; it holds nothing"), "{told}");
+    let shown = fails(&mut cache(here, &["clear", "tiny"]));
+    assert!(shown.contains("no simulations of `tiny`; it holds nothing"), "{shown}");
     assert!(!here.join("cache").exists(), "to look makes no folder");
 }
 
@@ -71,19 +71,19 @@ fn materials_are_listed_and_removed() {
     let [(other, images), (tiny, same)] = &held[..] else { panic!("{held:?}") };
     assert_eq!((other.as_str(), tiny.as_str()), ("other", "tiny"));
     assert!(*images > 0 && images == same, "{held:?}");
-    let told = printed(&mut cache(here, &["list"]));
-    assert!(told.contains(&format!("{images} images")), "{told}");
+    let shown = printed(&mut cache(here, &["list"]));
+    assert!(shown.contains(&format!("{images} images")), "{shown}");
     // Those of a recipe of one's own are simulated again too.
     let tiny = file("tests/cli/tiny_library.toml");
-    let told = json(&mut cache(here, &["verify", &tiny, "--recompute", "1"]));
-    assert_eq!((&told["sound"], &told["images"]), (&true.into(), &(*images).into()), "{told}");
-    assert_eq!(told["recomputed"][0]["difference"], 0.0, "{told}");
+    let shown = json(&mut cache(here, &["verify", &tiny, "--recompute", "1"]));
+    assert_eq!((&shown["sound"], &shown["images"]), (&true.into(), &(*images).into()), "{shown}");
+    assert_eq!(shown["recomputed"][0]["difference"], 0.0, "{shown}");
 
-    let told = fails(&mut cache(here, &["clear", "srtio3"]));
-    assert!(told.contains("`srtio3`; it holds other, tiny"), "{told}");
-    let told = printed(&mut cache(here, &["clear", "other"]));
-    assert!(told.contains("other") && told.contains("removed"), "{told}");
-    assert!(!told.contains("tiny "), "{told}");
+    let shown = fails(&mut cache(here, &["clear", "srtio3"]));
+    assert!(shown.contains("`srtio3`; it holds other, tiny"), "{shown}");
+    let shown = printed(&mut cache(here, &["clear", "other"]));
+    assert!(shown.contains("other") && shown.contains("removed"), "{shown}");
+    assert!(!shown.contains("tiny "), "{shown}");
     assert_eq!(materials(&json(&mut cache(here, &["list"]))), held[1..]);
 
     assert_eq!(materials(&json(&mut cache(here, &["clear"]))), held[1..], "what was removed");
@@ -113,8 +113,8 @@ fn a_library_travels_in_a_file() {
     let first = tiny_with(here, "cache");
     assert_eq!(first["library"][0], first["library"][1], "{first}");
     let world = std::fs::read(here.join("w.h5")).unwrap();
-    let told = printed(&mut cache(here, &["export", "tiny", "-o", "tiny.stemlib"]));
-    assert!(told.contains("18 images") && told.contains("tiny.stemlib"), "{told}");
+    let shown = printed(&mut cache(here, &["export", "tiny", "-o", "tiny.stemlib"]));
+    assert!(shown.contains("18 images") && shown.contains("tiny.stemlib"), "{shown}");
     let message = fails(&mut cache(here, &["export", "tiny", "-o", "tiny.stemlib"]));
     assert!(message.contains("--overwrite"), "{message}");
     let message = fails(&mut cache(here, &["export", "gan", "-o", "gan.stemlib"]));
@@ -131,8 +131,8 @@ fn a_library_travels_in_a_file() {
     let message = fails(&mut elsewhere(&["import", "w.h5"]));
     assert!(message.contains("is no library"), "{message}");
     assert!(!here.join("elsewhere").exists(), "nothing was taken");
-    let told = json(&mut elsewhere(&["import", "tiny.stemlib"]));
-    assert_eq!(told["added"], 18, "{told}");
+    let shown = json(&mut elsewhere(&["import", "tiny.stemlib"]));
+    assert_eq!(shown["added"], 18, "{shown}");
     assert_eq!(tiny_with(here, "elsewhere")["library"][1], 0);
     assert!(std::fs::read(here.join("w.h5")).unwrap() == world);
 }
@@ -161,8 +161,8 @@ fn a_library_comes_along() {
         let run = command.output().unwrap();
         assert!(run.status.success(), "{}", stderr(&run));
         assert!(std::fs::read(here.join("w.h5")).unwrap() == world, "{options:?}");
-        let told: serde_json::Value = serde_json::from_str(&stdout(&run)).unwrap();
-        (told["library"][1].as_u64().unwrap(), stderr(&run))
+        let shown: serde_json::Value = serde_json::from_str(&stdout(&run)).unwrap();
+        (shown["library"][1].as_u64().unwrap(), stderr(&run))
     };
     assert_eq!(build(&[]).0, 0);
     assert_eq!(build(&["--no-cache"]).0, 0);
@@ -182,17 +182,21 @@ fn a_library_comes_along() {
         let mut bytes = whole.clone();
         bytes[change] ^= 1;
         std::fs::write(here.join("library/tiny.stemlib"), bytes).unwrap();
-        let (simulated, told) = build(&["--no-cache"]);
+        let (simulated, shown) = build(&["--no-cache"]);
         assert_eq!(
-            (simulated, told.matches("the archive is not used").count()),
+            (simulated, shown.matches("the archive is not used").count()),
             (all, 1),
-            "{told}"
+            "{shown}"
         );
-        assert!(told.contains(word) && told.contains("tiny.stemlib"), "{told}");
+        assert!(shown.contains(word) && shown.contains("tiny.stemlib"), "{shown}");
     }
     std::fs::remove_dir_all(here.join("library")).unwrap();
-    let (simulated, told) = build(&["--no-cache"]);
-    assert_eq!((simulated, told.matches("the folder does not exist").count()), (all, 1), "{told}");
+    let (simulated, shown) = build(&["--no-cache"]);
+    assert_eq!(
+        (simulated, shown.matches("the folder does not exist").count()),
+        (all, 1),
+        "{shown}"
+    );
 }
 
 #[test]
@@ -202,11 +206,11 @@ fn damaged_and_foreign_images_are_found() {
     let here = folder.path();
     let hard = ["srtio3", "--difficulty", "hard"];
     // One image of the smallest kind there is in worlds that come with the program.
-    let told = printed(cache(here, &["fill"]).args(hard).args(["--shard", "5/128"]));
-    assert!(told.contains("srtio3_hard") && told.contains("1 simulated now, 127 are"), "{told}");
-    let told = json(&mut cache(here, &["fill", "--all", "--difficulty", "easy", "--dry-run"]));
+    let shown = printed(cache(here, &["fill"]).args(hard).args(["--shard", "5/128"]));
+    assert!(shown.contains("srtio3_hard") && shown.contains("1 simulated now, 127 are"), "{shown}");
+    let shown = json(&mut cache(here, &["fill", "--all", "--difficulty", "easy", "--dry-run"]));
     let names: Vec<&str> =
-        told.as_array().unwrap().iter().map(|w| w["world"].as_str().unwrap()).collect();
+        shown.as_array().unwrap().iter().map(|w| w["world"].as_str().unwrap()).collect();
     let crystals = ["srtio3_easy", "batio3_easy", "sige_easy", "gan_easy"];
     assert_eq!(names, [&crystals[..], &["mos2_easy", "wse2_easy", "graphene_easy"]].concat());
     let again = |code: i32| {
@@ -215,8 +219,8 @@ fn damaged_and_foreign_images_are_found() {
         assert_eq!(run.status.code(), Some(code), "{}", stderr(&run));
         serde_json::from_str::<serde_json::Value>(&stdout(&run)).unwrap()
     };
-    let told = again(0);
-    assert_eq!((&told["images"], &told["recomputed"][0]["difference"]), (&1.into(), &0.0.into()));
+    let shown = again(0);
+    assert_eq!((&shown["images"], &shown["recomputed"][0]["difference"]), (&1.into(), &0.0.into()));
     // Whole, with another image's values: its checksum is right.
     let mut files = std::fs::read_dir(here.join("cache/srtio3")).unwrap();
     let path = files.next().unwrap().unwrap().path();
@@ -226,15 +230,15 @@ fn damaged_and_foreign_images_are_found() {
     let digest = <sha2::Sha256 as sha2::Digest>::digest(&bytes[..body]);
     bytes[body..].copy_from_slice(&digest);
     std::fs::write(&path, &bytes).unwrap();
-    let told = again(3);
-    assert!(told["sound"] == false && told["damaged"].as_array().unwrap().is_empty(), "{told}");
-    let difference = told["recomputed"][0]["difference"].as_f64().unwrap();
-    assert!(told["images"] == 1 && difference > 0.0, "{told}");
+    let shown = again(3);
+    assert!(shown["sound"] == false && shown["damaged"].as_array().unwrap().is_empty(), "{shown}");
+    let difference = shown["recomputed"][0]["difference"].as_f64().unwrap();
+    assert!(shown["images"] == 1 && difference > 0.0, "{shown}");
     bytes[body / 2] ^= 1;
     std::fs::write(&path, &bytes).unwrap();
     let run = cache(here, &["verify"]).output().unwrap();
     assert_eq!(run.status.code(), Some(3));
     assert!(stdout(&run).contains("DAMAGED") && stdout(&run).contains("0 of 1 images"));
-    let told = fails(&mut cache(here, &["verify", "--recompute", "1"]));
-    assert!(told.contains("<MATERIAL|RECIPE.toml>"), "{told}");
+    let shown = fails(&mut cache(here, &["verify", "--recompute", "1"]));
+    assert!(shown.contains("<MATERIAL|RECIPE.toml>"), "{shown}");
 }

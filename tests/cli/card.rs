@@ -83,9 +83,9 @@ fn the_folder_holds_what_the_card_says() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     worlds(&here.join("w"));
-    let told = json(&mut card(here, ["w", "-o", "hub"].into_iter().chain(SAID)));
+    let printed = json(&mut card(here, ["w", "-o", "hub"].into_iter().chain(SAID)));
     let hub = here.join("hub");
-    assert_eq!(told["missing"].as_array().unwrap().len(), 0);
+    assert_eq!(printed["missing"].as_array().unwrap().len(), 0);
     let files = contents(&hub);
     let names: Vec<&str> = files.keys().map(String::as_str).collect();
     let expected = [
@@ -235,9 +235,9 @@ fn the_same_worlds_make_the_same_bytes() {
         assert!(output.status.success(), "{}", stderr(&output));
         stdout(&output) + &stderr(&output)
     };
-    let told = run(&["w/test.h5", "w/own.h5", "-o", "a"]);
+    let printed = run(&["w/test.h5", "w/own.h5", "-o", "a"]);
     for option in ["--license", "--creator", "--url", "--date", "--cite"] {
-        assert!(told.contains(option), "{told}");
+        assert!(printed.contains(option), "{printed}");
     }
     let first = contents(&here.join("a"));
     run(&["w", "-o", "b"]);
@@ -255,8 +255,8 @@ fn the_same_worlds_make_the_same_bytes() {
 
     // What belongs to no world of the card is named, and kept.
     std::fs::remove_file(here.join("w/own.h5")).unwrap();
-    let told = run(&["w"]);
-    assert!(told.contains("warning: ") && told.contains("columns/own.csv"), "{told}");
+    let printed = run(&["w"]);
+    assert!(printed.contains("warning: ") && printed.contains("columns/own.csv"), "{printed}");
     assert!(here.join("w/columns/own.csv").exists());
 }
 
@@ -326,8 +326,8 @@ fn what_is_no_folder_of_worlds_is_refused_and_nothing_is_left() {
         (&["w", "-o", "new", "--title", " "], "title"),
     ];
     for (arguments, expected) in cases {
-        let told = fails(&mut card(here, arguments.iter().copied()));
-        assert!(told.contains(expected), "{arguments:?}: {told}");
+        let printed = fails(&mut card(here, arguments.iter().copied()));
+        assert!(printed.contains(expected), "{arguments:?}: {printed}");
         assert!(
             contents(here) == before && !here.join("new").exists(),
             "{arguments:?} left something"
@@ -343,8 +343,8 @@ fn files_of_others_are_not_replaced_unasked() {
     for name in ["README.md", "worlds.csv"] {
         std::fs::write(here.join("w").join(name), "mine").unwrap();
         let before = contents(&here.join("w"));
-        let told = fails(&mut card(here, ["w"]));
-        assert!(told.contains(name) && told.contains("--overwrite"), "{told}");
+        let printed = fails(&mut card(here, ["w"]));
+        assert!(printed.contains(name) && printed.contains("--overwrite"), "{printed}");
         assert!(contents(&here.join("w")) == before);
         std::fs::remove_file(here.join("w").join(name)).unwrap();
     }
@@ -353,8 +353,8 @@ fn files_of_others_are_not_replaced_unasked() {
     // A world of the same name that holds something else is one of value.
     std::fs::create_dir(here.join("hub")).unwrap();
     std::fs::copy(here.join("w/test.h5"), here.join("hub/own.h5")).unwrap();
-    let told = fails(&mut card(here, ["w", "-o", "hub"]));
-    assert!(told.contains("own.h5") && told.contains("exists"), "{told}");
+    let printed = fails(&mut card(here, ["w", "-o", "hub"]));
+    assert!(printed.contains("own.h5") && printed.contains("exists"), "{printed}");
     assert_eq!(contents(&here.join("hub")).len(), 1);
 }
 

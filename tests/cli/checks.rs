@@ -25,9 +25,9 @@ fn a_disk_that_is_too_small_is_found() {
     }
     for (subcommand, name) in [("specimen", "a.xyz"), ("build", "a.h5")] {
         let mut command = stemgen(folder.path());
-        let told = fails(command.arg(subcommand).args(ENDLESS).args(["-o", name]));
+        let printed = fails(command.arg(subcommand).args(ENDLESS).args(["-o", name]));
         for part in ["needed", "free", "GB"] {
-            assert!(told.contains(part), "{subcommand}: no `{part}` in\n{told}");
+            assert!(printed.contains(part), "{subcommand}: no `{part}` in\n{printed}");
         }
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left");
@@ -35,7 +35,7 @@ fn a_disk_that_is_too_small_is_found() {
 
 #[cfg(unix)]
 #[test]
-fn the_second_build_is_told_who_builds() {
+fn the_second_build_names_the_first() {
     if !can_trace() {
         return;
     }
@@ -44,9 +44,12 @@ fn the_second_build_is_told_who_builds() {
     let seed = ["--seed", "500"];
     let point = Point::on("the work folder is made", "mkdir", "w.h5.work");
     let first = Held::at(stemgen(folder.path()).args(arguments).args(seed), point);
-    let told = fails(stemgen(folder.path()).args(arguments));
-    assert!(told.contains("w.h5") && told.contains(&format!("process {}", first.id())), "{told}");
-    assert!(told.contains("--seed 500"), "the command is shown: {told}");
+    let printed = fails(stemgen(folder.path()).args(arguments));
+    assert!(
+        printed.contains("w.h5") && printed.contains(&format!("process {}", first.id())),
+        "{printed}"
+    );
+    assert!(printed.contains("--seed 500"), "the command is shown: {printed}");
     first.kill();
     assert!(!folder.path().join("w.h5").exists());
     // A lock dies with its holder.
@@ -61,7 +64,7 @@ fn a_place_that_cannot_be_written_is_found() {
     for subcommand in ["specimen", "build"] {
         let mut command = stemgen(folder.path());
         command.args([subcommand, "test", "-o", "file/a.xyz"]);
-        let told = fails(&mut command);
-        assert!(told.contains("file/a.xyz: would lie in file, which is a file"), "{told}");
+        let printed = fails(&mut command);
+        assert!(printed.contains("file/a.xyz: would lie in file, which is a file"), "{printed}");
     }
 }

@@ -123,8 +123,8 @@ fn what_is_no_world_is_named() {
     for (name, expected) in
         [("text.h5", "not HDF5"), ("image.h5", "is not a world"), ("none.h5", "cannot read")]
     {
-        let told = fails(stemgen(f).args(["compare", name, name]));
-        assert!(told.contains(name) && told.contains(expected), "{told}");
+        let printed = fails(stemgen(f).args(["compare", name, name]));
+        assert!(printed.contains(name) && printed.contains(expected), "{printed}");
     }
     assert!(!f.join("compare.html").exists());
 }

@@ -49,18 +49,21 @@ fn bad_input_is_explained() {
         (&[srtio3, "--phonons", "2", "--sigma", "Sr=0.1,Ti=0.1"], &["for O"]),
     ];
     for (arguments, parts) in cases {
-        let told = fails(stemgen(here).arg("simulate").args(arguments));
+        let printed = fails(stemgen(here).arg("simulate").args(arguments));
         for part in parts {
-            assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
+            assert!(printed.contains(part), "{arguments:?}: no `{part}` in\n{printed}");
         }
-        assert!(told.matches("(os error").count() < 2, "said twice: {told}");
+        assert!(printed.matches("(os error").count() < 2, "said twice: {printed}");
     }
-    let told = fails(stemgen(here).args(["simulate", "none.cif"]));
-    assert_eq!(told.matches("No such file").count(), 1, "the reason is told once: {told}");
-    let told = fails(stemgen(here).args(["simulate", si, "--slice-thickness", "1e-308"]));
-    assert!(told.contains("from 0.01 to 1000 A") && told.contains("--slice-thickness"), "{told}");
-    let told = fails(stemgen(here).args(["simulate", si, "--accuracy", "50%%"]));
-    assert!(told.contains("write per cent"), "{told}");
+    let printed = fails(stemgen(here).args(["simulate", "none.cif"]));
+    assert_eq!(printed.matches("No such file").count(), 1, "the reason is told once: {printed}");
+    let printed = fails(stemgen(here).args(["simulate", si, "--slice-thickness", "1e-308"]));
+    assert!(
+        printed.contains("from 0.01 to 1000 A") && printed.contains("--slice-thickness"),
+        "{printed}"
+    );
+    let printed = fails(stemgen(here).args(["simulate", si, "--accuracy", "50%%"]));
+    assert!(printed.contains("write per cent"), "{printed}");
     assert_eq!(std::fs::read(here.join("there.h5")).unwrap(), b"precious");
     assert_eq!(std::fs::read_dir(here).unwrap().count(), 4, "nothing was written");
 }
@@ -70,25 +73,25 @@ fn hints_stand_only_where_they_help() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     std::fs::write(here.join("bad.cif"), "data_x\n_cell_length_a 5\n").unwrap();
-    let told = fails(stemgen(here).args(["simulate", "bad.cif"]));
-    assert!(told.starts_with("error: bad.cif") && !told.contains("hint"), "{told}");
+    let printed = fails(stemgen(here).args(["simulate", "bad.cif"]));
+    assert!(printed.starts_with("error: bad.cif") && !printed.contains("hint"), "{printed}");
     let si = &file("structures/si.cif");
-    let told = fails(stemgen(here).args(["simulate", si, "--dosis", "100"]));
-    assert!(told.contains("--dosis") && !told.contains("as a value"), "{told}");
+    let printed = fails(stemgen(here).args(["simulate", si, "--dosis", "100"]));
+    assert!(printed.contains("--dosis") && !printed.contains("as a value"), "{printed}");
     for (arguments, part) in [
         (["--pixelated", "1"], "`stemgen patterns` simulates diffraction patterns"),
         (["--detector", "DPC=0-20"], "--detector DPC=0-21:4@45 of `stemgen simulate`"),
         (["--beam-tilt", "3"], "take another --zone"),
     ] {
-        let told = fails(stemgen(here).args(["simulate", si]).args(arguments));
-        assert!(told.contains(part) && !told.contains("as a value"), "{told}");
+        let printed = fails(stemgen(here).args(["simulate", si]).args(arguments));
+        assert!(printed.contains(part) && !printed.contains("as a value"), "{printed}");
     }
     let recipe = std::fs::read_to_string(file("generate/srtio3.toml")).unwrap();
     let two = recipe.split("[difficulty.hard]").next().unwrap();
     std::fs::write(here.join("two.toml"), two).unwrap();
     for tier in [&["--difficulty", "hard"][..], &[]] {
-        let told = fails(stemgen(here).args(["show-recipe", "two.toml"]).args(tier));
-        assert!(told.contains("the recipe has easy, medium"), "{told}");
+        let printed = fails(stemgen(here).args(["show-recipe", "two.toml"]).args(tier));
+        assert!(printed.contains("the recipe has easy, medium"), "{printed}");
     }
 }
 
@@ -107,8 +110,8 @@ fn bad_builds_are_explained() {
         (&["--recipe", "bad.toml"], "bad.toml"),
     ];
     for (arguments, part) in cases {
-        let told = fails(stemgen(folder.path()).arg("build").args(arguments).args(easy));
-        assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
+        let printed = fails(stemgen(folder.path()).arg("build").args(arguments).args(easy));
+        assert!(printed.contains(part), "{arguments:?}: no `{part}` in\n{printed}");
     }
 }
 
@@ -122,6 +125,6 @@ fn a_folder_that_is_read_only_is_found_before_simulating() {
     if probe.is_ok() {
         return skipped("root may write into a folder that is read-only");
     }
-    let told = fails(stemgen(folder.path()).args(["simulate", &file("structures/si.cif")]));
-    assert!(told.contains("--output"), "{told}");
+    let printed = fails(stemgen(folder.path()).args(["simulate", &file("structures/si.cif")]));
+    assert!(printed.contains("--output"), "{printed}");
 }

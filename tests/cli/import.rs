@@ -62,14 +62,14 @@ fn an_image_becomes_a_world_that_all_commands_read() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     dm4(here, "a.dm4", "nm");
-    let told = runs(here, &["import", "a.dm4", "-o", "w.h5"]);
+    let printed = runs(here, &["import", "a.dm4", "-o", "w.h5"]);
     for part in ["DM4, HAADF, 200 keV, 260 x 390 pixels", "2 x 3, of its first 252 x 376", "0.025"]
     {
-        assert!(told.contains(part), "no `{part}` in\n{told}");
+        assert!(printed.contains(part), "no `{part}` in\n{printed}");
     }
-    let told = runs(here, &["verify", "w.h5"]);
-    assert!(told.contains("is sound") && !told.contains("FAULT"), "{told}");
-    let told = runs(here, &["info", "w.h5"]);
+    let printed = runs(here, &["verify", "w.h5"]);
+    assert!(printed.contains("is sound") && !printed.contains("FAULT"), "{printed}");
+    let printed = runs(here, &["info", "w.h5"]);
     for part in [
         "replay",
         "a.dm4 (DM4, HAADF, 200 keV)",
@@ -77,23 +77,23 @@ fn an_image_becomes_a_world_that_all_commands_read() {
         "the file",
         "`stemgen import`",
     ] {
-        assert!(told.contains(part), "no `{part}` in\n{told}");
+        assert!(printed.contains(part), "no `{part}` in\n{printed}");
     }
     runs(here, &["view", "w.h5", "-o", "w.png", "--quiet"]);
     runs(here, &["view", "w.h5", "--html", "-o", "w.html", "--quiet"]);
-    let told = runs(here, &["tiles", "w.h5", "-n", "3", "--size", "64", "-o", "t.npz"]);
-    assert!(told.contains("that of the stored image"), "{told}");
+    let printed = runs(here, &["tiles", "w.h5", "-n", "3", "--size", "64", "-o", "t.npz"]);
+    assert!(printed.contains("that of the stored image"), "{printed}");
     let dose = ["tiles", "w.h5", "-o", "u.npz", "--random-dose", "1e3,1e4"];
     assert!(fails(stemgen(here).args(dose)).contains("leave out --random-dose"));
     let seed = ["tiles", "w.h5", "-o", "u.npz", "--seed", "4"];
     assert!(fails(stemgen(here).args(seed)).contains("world without a recipe"));
     // What simulates has nothing to begin with, and says so.
     for arguments in [&["audit", "w.h5"][..], &["acquire", "w.h5", "-o", "r.h5"]] {
-        let told = fails(stemgen(here).args(arguments));
-        assert!(told.contains("holds no recipe") && told.contains("recorded"), "{told}");
+        let printed = fails(stemgen(here).args(arguments));
+        assert!(printed.contains("holds no recipe") && printed.contains("recorded"), "{printed}");
     }
-    let told = fails(stemgen(here).args(["view", "w.h5", "--clean", "-o", "c.png"]));
-    assert!(told.contains("noiseless image"), "{told}");
+    let printed = fails(stemgen(here).args(["view", "w.h5", "--clean", "-o", "c.png"]));
+    assert!(printed.contains("noiseless image"), "{printed}");
     assert_eq!(files(here), ["a.dm4", "t.npz", "w.h5", "w.html", "w.png"]);
 }
 
@@ -115,9 +115,9 @@ fn the_pixel_is_that_of_the_file_of_the_user_or_of_a_spacing() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     npy(here, "a.npy", SHAPE);
-    let told = fails(stemgen(here).args(["import", "a.npy", "-o", "w.h5"]));
-    assert!(told.contains("does not contain a usable pixel size"), "{told}");
-    assert!(told.contains("--pixel-size") && told.contains("--calibrate"), "{told}");
+    let printed = fails(stemgen(here).args(["import", "a.npy", "-o", "w.h5"]));
+    assert!(printed.contains("does not contain a usable pixel size"), "{printed}");
+    assert!(printed.contains("--pixel-size") && printed.contains("--calibrate"), "{printed}");
     let given =
         json(stemgen(here).args(["import", "a.npy", "-o", "w.h5", "--pixel-size", "0.025"]));
     assert_eq!(given["pixel_size_nm"], 0.025);
@@ -128,11 +128,11 @@ fn the_pixel_is_that_of_the_file_of_the_user_or_of_a_spacing() {
     let pixel = found["pixel_size_nm"].as_f64().unwrap();
     assert!((pixel / 0.025 - 1.0).abs() < 2e-3, "{found}");
     assert_eq!(found["calibration"]["peaks"].as_array().unwrap().len(), 2, "{found}");
-    let told = runs(here, &["info", "w.h5"]);
-    assert!(told.contains("a spacing of 0.4 nm, found at 16.0"), "{told}");
+    let printed = runs(here, &["info", "w.h5"]);
+    assert!(printed.contains("a spacing of 0.4 nm, found at 16.0"), "{printed}");
     let far = ["--pixel-size", "0.035", "--calibrate", "0.4", "--overwrite"];
-    let told = fails(stemgen(here).args(["import", "a.npy", "-o", "w.h5"]).args(far));
-    assert!(told.contains("no peak of the Fourier transform"), "{told}");
+    let printed = fails(stemgen(here).args(["import", "a.npy", "-o", "w.h5"]).args(far));
+    assert!(printed.contains("no peak of the Fourier transform"), "{printed}");
     dm4(here, "a.dm4", "nm");
     let run = stemgen(here)
         .args(["import", "a.dm4", "-o", "far.h5", "--calibrate", "0.45"])
@@ -181,14 +181,14 @@ fn what_cannot_be_imported_leaves_nothing() {
         (&["o.h5", "--dataset", "one", "--pixel-size", "0.1"], &["one value"]),
         (&["cut.h5"], &["damaged"]),
     ] {
-        let told = fails(stemgen(here).arg("import").args(arguments).args(["-o", "w.h5"]));
+        let printed = fails(stemgen(here).arg("import").args(arguments).args(["-o", "w.h5"]));
         for part in parts {
-            assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
+            assert!(printed.contains(part), "{arguments:?}: no `{part}` in\n{printed}");
         }
     }
     for output in ["a.dm4", "o.h5"] {
-        let told = fails(stemgen(here).args(["import", "a.dm4", "-o", output]));
-        assert!(told.contains(output), "{told}");
+        let printed = fails(stemgen(here).args(["import", "a.dm4", "-o", output]));
+        assert!(printed.contains(output), "{printed}");
     }
     assert_eq!(files(here), before);
 }

@@ -11,7 +11,7 @@ fn build(folder: &Path, arguments: &[&str]) {
 }
 
 /// What `info` tells of the world `w.h5`.
-fn told(folder: &Path) -> serde_json::Value {
+fn printed(folder: &Path) -> serde_json::Value {
     let all = json(stemgen(folder).args(["info", "w.h5"]));
     assert_eq!(all["worlds"].as_array().unwrap().len(), 1);
     all["worlds"][0].clone()
@@ -21,15 +21,15 @@ fn told(folder: &Path) -> serde_json::Value {
 fn made_again(arguments: &[&str]) -> String {
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     build(first.path(), &[arguments, &["-o", "w.h5"]].concat());
-    let told = told(first.path());
-    assert_eq!(told["again"]["note"], serde_json::Value::Null, "{arguments:?}");
-    let line = told["command"].as_str().unwrap().to_owned();
+    let printed = printed(first.path());
+    assert_eq!(printed["again"]["note"], serde_json::Value::Null, "{arguments:?}");
+    let line = printed["command"].as_str().unwrap().to_owned();
     if line.contains("--recipe") {
         let mut command = stemgen(first.path());
         let out = second.path().join("w.toml");
         let output = command.args(["info", "w.h5", "--recipe-out"]).arg(&out).output().unwrap();
         assert!(output.status.success(), "{}", stderr(&output));
-        assert_eq!(std::fs::read_to_string(&out).unwrap(), told["again"]["recipe"]);
+        assert_eq!(std::fs::read_to_string(&out).unwrap(), printed["again"]["recipe"]);
     }
     // As it is typed: a shell reads it.
     let program = Path::new(env!("CARGO_BIN_EXE_stemgen"));
@@ -47,7 +47,7 @@ fn made_again(arguments: &[&str]) -> String {
 }
 
 #[test]
-fn the_command_that_is_told_makes_the_same_tiles_and_truth() {
+fn the_printed_command_makes_the_same_tiles_and_truth() {
     let tiny = file("tests/cli/tiny.toml");
     let small = ["test", "--grid", "1x1", "--set", "field.thickness_nm=0.4"];
     let with = |more: &[&'static str]| made_again(&[&small, more].concat());
@@ -70,7 +70,7 @@ fn the_command_that_is_told_makes_the_same_tiles_and_truth() {
 
 #[test]
 #[ignore = "long"]
-fn the_command_that_is_told_holds_options_of_the_numerics() {
+fn the_printed_command_holds_options_of_the_numerics() {
     let small = ["test", "--grid", "1x1", "--set", "field.thickness_nm=0.4"];
     let with = |more: &[&'static str]| made_again(&[&small, more].concat());
     let line = with(&["--expansion", "0.5", "--subtile", "2", "--subtile-overlap", "0.2"]);
@@ -98,7 +98,7 @@ fn a_film_with_particles_is_made_again_too() {
 }
 
 #[test]
-fn what_a_world_holds_is_told() {
+fn the_contents_of_a_world_are_printed() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     build(here, &["test", "--grid", "1x2", "--set", "field.thickness_nm=0.4", "-o", "w.h5"]);
@@ -110,25 +110,28 @@ fn what_a_world_holds_is_told() {
     {
         assert!(text.lines().any(|l| l.starts_with(line)), "no {line} in\n{text}");
     }
-    let told = told(here);
-    assert_eq!((&told["tiles"], &told["material"]), (&serde_json::json!([1, 2]), &"test".into()));
-    assert_eq!(told["grain_boundaries"], 1);
-    assert_eq!(told["file_bytes"], std::fs::metadata(here.join("w.h5")).unwrap().len());
+    let printed = printed(here);
+    assert_eq!(
+        (&printed["tiles"], &printed["material"]),
+        (&serde_json::json!([1, 2]), &"test".into())
+    );
+    assert_eq!(printed["grain_boundaries"], 1);
+    assert_eq!(printed["file_bytes"], std::fs::metadata(here.join("w.h5")).unwrap().len());
     let world = hdf5::File::open(here.join("w.h5")).unwrap();
     let types = world.dataset("ground_truth/atom_types").unwrap().read_1d::<i32>().unwrap();
-    assert_eq!(told["sites"], types.len());
-    assert_eq!(told["vacancies"], types.iter().filter(|t| **t == 1).count());
+    assert_eq!(printed["sites"], types.len());
+    assert_eq!(printed["vacancies"], types.iter().filter(|t| **t == 1).count());
     let columns = world.dataset("ground_truth/columns/vacancies").unwrap().shape();
-    assert_eq!(told["columns"], columns[0]);
+    assert_eq!(printed["columns"], columns[0]);
 }
 
 #[test]
-fn what_is_no_world_or_tells_no_engine_is_said() {
+fn what_is_no_world_or_names_no_engine_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     std::fs::write(here.join("no.h5"), b"text").unwrap();
-    let told = fails(stemgen(here).args(["info", "no.h5"]));
-    assert!(told.contains("no.h5") && told.contains("is not HDF5"), "{told}");
+    let printed = fails(stemgen(here).args(["info", "no.h5"]));
+    assert!(printed.contains("no.h5") && printed.contains("is not HDF5"), "{printed}");
     assert!(fails(stemgen(here).args(["info", "gone.h5"])).contains("gone.h5"));
     build(here, &["--recipe", &file("tests/cli/tiny.toml"), "-o", "w.h5"]);
     std::fs::copy(here.join("w.h5"), here.join("v.h5")).unwrap();

@@ -22,15 +22,15 @@ const SERIES: [&str; 13] = [
 fn a_series_shows_what_it_takes_away() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let told = json(
+    let printed = json(
         stemgen(here)
             .args(SERIES)
             .args(["--at", "1.9,1.9", "--zoom", "2", "--dose", "2e5", "--profile", "routine"])
             .args(["--frame-s", "0.5", "-o", "s.h5", "--animation", "--quiet"]),
     );
-    assert_eq!(told["recordings"], 3);
-    assert!(told["lost"]["O"].as_u64().unwrap() > 3, "{told}");
-    assert_eq!(told["history"].as_array().unwrap().len(), 3);
+    assert_eq!(printed["recordings"], 3);
+    assert!(printed["lost"]["O"].as_u64().unwrap() > 3, "{printed}");
+    assert_eq!(printed["history"].as_array().unwrap().len(), 3);
     python("check_series.py", &[&here.join("s.h5"), &here.join("s.png")]);
 }
 
@@ -38,9 +38,9 @@ fn a_series_shows_what_it_takes_away() {
 fn nothing_lost_is_said_and_nonsense_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let told = fails(stemgen(here).args(["live", "test", "-o", "s.png"]));
-    assert!(told.contains("s.h5"), "{told}");
-    let told = fails(stemgen(here).args(SERIES).args([
+    let printed = fails(stemgen(here).args(["live", "test", "-o", "s.png"]));
+    assert!(printed.contains("s.h5"), "{printed}");
+    let printed = fails(stemgen(here).args(SERIES).args([
         "--dose",
         "1e5",
         "--animation",
@@ -49,17 +49,18 @@ fn nothing_lost_is_said_and_nonsense_is_refused() {
         "-o",
         "s.h5",
     ]));
-    assert!(told.contains("--frame-s 100: write 0.01 to 60 seconds"), "{told}");
+    assert!(printed.contains("--frame-s 100: write 0.01 to 60 seconds"), "{printed}");
     assert!(!here.join("s.h5").exists());
-    let told = fails(
+    let printed = fails(
         stemgen(here)
             .args([&SERIES[..], &["--dose", "1e5", "--most-dose", "1e5", "-o", "s.h5"]].concat()),
     );
     assert!(
-        told.contains("the dose of the whole series is") && told.contains("larger --most-dose"),
-        "{told}"
+        printed.contains("the dose of the whole series is")
+            && printed.contains("larger --most-dose"),
+        "{printed}"
     );
-    let told = fails(stemgen(here).args([
+    let printed = fails(stemgen(here).args([
         "live",
         "test",
         "--dose-series",
@@ -72,8 +73,8 @@ fn nothing_lost_is_said_and_nonsense_is_refused() {
         "--grid",
         "1x1",
     ]));
-    assert!(told.contains("--dose-series"), "{told}");
-    let told = fails(stemgen(here).args([
+    assert!(printed.contains("--dose-series"), "{printed}");
+    let printed = fails(stemgen(here).args([
         "live",
         "test",
         "--set",
@@ -82,8 +83,8 @@ fn nothing_lost_is_said_and_nonsense_is_refused() {
         "s.h5",
     ]));
     assert!(
-        told.contains("damage.threshold_ev") && told.contains("element of the crystal"),
-        "{told}"
+        printed.contains("damage.threshold_ev") && printed.contains("element of the crystal"),
+        "{printed}"
     );
     assert!(!here.join("s.h5").exists());
 }

@@ -17,7 +17,7 @@ mod import;
 mod info;
 #[path = "../common/python.rs"]
 mod interpreter;
-mod likely_slips;
+mod likely_mistakes;
 mod live;
 mod outputs;
 mod patterns;
@@ -81,15 +81,15 @@ fn stderr(output: &Output) -> String {
 /// Runs a command that has to fail, with one error and at most one hint; returns what it says.
 fn fails(command: &mut Command) -> String {
     let output = command.output().unwrap();
-    let told = stderr(&output);
+    let printed = stderr(&output);
     let code = output.status.code();
-    assert!(code == Some(1) || code == Some(2), "{command:?}: {code:?} {told}");
-    assert!(!told.contains("panicked"), "{told}");
-    assert_eq!(told.matches("error: ").count(), 1, "{told}");
+    assert!(code == Some(1) || code == Some(2), "{command:?}: {code:?} {printed}");
+    assert!(!printed.contains("panicked"), "{printed}");
+    assert_eq!(printed.matches("error: ").count(), 1, "{printed}");
     if code == Some(1) {
-        assert!(told.lines().filter(|l| l.starts_with("hint: ")).count() <= 1, "{told}");
+        assert!(printed.lines().filter(|l| l.starts_with("hint: ")).count() <= 1, "{printed}");
     }
-    told
+    printed
 }
 
 /// Runs the program and returns its standard output, which must be JSON.

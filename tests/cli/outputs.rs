@@ -34,10 +34,10 @@ fn inputs_are_not_replaced_even_when_overwriting() {
         &["validate", "--reference", "w.h5", "--structure", "si.cif", "-o", "w.h5"],
     ];
     for arguments in cases {
-        let told = fails(stemgen(here).args(arguments).arg("--overwrite"));
+        let printed = fails(stemgen(here).args(arguments).arg("--overwrite"));
         // `specimen` and `validate` may find another fault first
         let early = ["specimen", "validate"].contains(&arguments[0]);
-        assert!(early || told.contains("is read by this command"), "{arguments:?}: {told}");
+        assert!(early || printed.contains("is read by this command"), "{arguments:?}: {printed}");
     }
     let after = ["w.h5", "v.h5", "si.cif", "r.toml"].map(|n| std::fs::read(here.join(n)).unwrap());
     assert!(before == after, "an input was changed");
@@ -52,16 +52,16 @@ fn a_picture_never_replaces_its_world() {
         command.args(["build", "--recipe", &recipe, "--overwrite"]).args(arguments);
         command
     };
-    let told = fails(&mut build(&["-o", "x.png"]));
-    assert!(told.contains("x.png") && told.contains("written twice"), "{told}");
-    let told = fails(&mut build(&["-o", "/dev/null"]));
-    assert!(told.contains("no regular file"), "{told}");
+    let printed = fails(&mut build(&["-o", "x.png"]));
+    assert!(printed.contains("x.png") && printed.contains("written twice"), "{printed}");
+    let printed = fails(&mut build(&["-o", "/dev/null"]));
+    assert!(printed.contains("no regular file"), "{printed}");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-    let told = fails(&mut build(&["-o", "x.png", "--no-png"]));
-    assert!(told.contains("did you mean x.h5?"), "{told}");
+    let printed = fails(&mut build(&["-o", "x.png", "--no-png"]));
+    assert!(printed.contains("did you mean x.h5?"), "{printed}");
     std::fs::write(folder.path().join("file"), "").unwrap();
-    let told = fails(&mut build(&["-o", "file/x.h5"]));
-    assert!(told.contains("would lie in file, which is a file"), "{told}");
+    let printed = fails(&mut build(&["-o", "file/x.h5"]));
+    assert!(printed.contains("would lie in file, which is a file"), "{printed}");
 }
 
 /// Names that the file system takes, but not with an ending more, or not HDF5.
@@ -76,12 +76,15 @@ fn names_that_fail_at_the_end_fail_at_the_beginning() {
     for name in [long, odd] {
         let mut command: Command = stemgen(folder.path());
         command.args(["build", "srtio3", "--difficulty", "hard", "--no-png", "-o"]).arg(&name);
-        let told = fails(&mut command);
+        let printed = fails(&mut command);
         // Nothing was simulated: that would have been told, stage by stage.
-        assert!(!told.contains("simulating") && told.lines().count() <= 2, "{name:?}: {told}");
+        assert!(
+            !printed.contains("simulating") && printed.lines().count() <= 2,
+            "{name:?}: {printed}"
+        );
         let why = if name.to_str().is_some() { "too long" } else { "no text in UTF-8" };
-        assert!(told.contains(why), "{name:?}: {told}");
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{name:?}: {told}");
+        assert!(printed.contains(why), "{name:?}: {printed}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{name:?}: {printed}");
     }
 }
 
@@ -95,8 +98,11 @@ fn optics_that_no_probe_has_are_refused() {
         ["--energy", "1"],
         ["--semiangle", "5e-324"],
     ] {
-        let told = fails(stemgen(folder.path()).arg("simulate").arg(&si).args(arguments));
-        assert!(told.contains("must be between") || told.contains("must be below"), "{told}");
+        let printed = fails(stemgen(folder.path()).arg("simulate").arg(&si).args(arguments));
+        assert!(
+            printed.contains("must be between") || printed.contains("must be below"),
+            "{printed}"
+        );
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }

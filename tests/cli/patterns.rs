@@ -190,14 +190,14 @@ fn rings_make_any_annulus() {
     );
     assert!(python("check_rings.py", &[&here.join("n.emd")]).starts_with("uint32 3 4 50"));
     for html in [&[][..], &["--html"]] {
-        let told = fails(stemgen(here).args(["view", "n.emd"]).args(html));
-        assert!(told.contains("n.emd") && told.contains("sums over rings"), "{told}");
+        let printed = fails(stemgen(here).args(["view", "n.emd"]).args(html));
+        assert!(printed.contains("n.emd") && printed.contains("sums over rings"), "{printed}");
     }
-    let told = fails(stemgen(here).args(["view", "n.emd", "--index", "1"]));
-    assert!(told.contains("--index") && told.contains("integrate"), "{told}");
+    let printed = fails(stemgen(here).args(["view", "n.emd", "--index", "1"]));
+    assert!(printed.contains("--index") && printed.contains("integrate"), "{printed}");
     let refused = |arguments: &[&str], words: &str| {
-        let told = fails(stemgen(here).args(arguments));
-        assert!(told.contains(words), "{arguments:?}: {told}");
+        let printed = fails(stemgen(here).args(arguments));
+        assert!(printed.contains(words), "{arguments:?}: {printed}");
     };
     refused(&["integrate", "n.emd", "--annulus", "67-90"], "66-90 mrad consists of whole rings");
     refused(&["integrate", "n.emd", "--annulus", "68-200"], "reach to 100.0 mrad");
@@ -253,8 +253,8 @@ fn other_files_hold_the_same_electrons() {
     ];
     assert_eq!(files, expected);
     let refused = |more: &[&str], words: &str| {
-        let told = fails(stemgen(here).args(&scan).args(more));
-        assert!(told.contains(words), "{more:?}: {told}");
+        let printed = fails(stemgen(here).args(&scan).args(more));
+        assert!(printed.contains(words), "{more:?}: {printed}");
     };
     refused(&["-o", "b.toml"], "give a dose");
     refused(&["-o", "b.raw"], "128 x 128");
@@ -294,12 +294,13 @@ fn patterns_are_made_again_from_their_request() {
     assert_ne!(values("sharp_defocus_0A.emd"), values("r_defocus_0A.emd"));
     // A file whose numbers are others.
     python("change_pattern.py", &[&here.join("r_defocus_20A.emd")]);
-    let told = stemgen(here).args(["rerun", "r_defocus_20A.emd", "--overwrite"]).output().unwrap();
-    assert_eq!(told.status.code(), Some(3));
-    assert!(String::from_utf8_lossy(&told.stdout).contains("1 values DIFFER"));
+    let printed =
+        stemgen(here).args(["rerun", "r_defocus_20A.emd", "--overwrite"]).output().unwrap();
+    assert_eq!(printed.status.code(), Some(3));
+    assert!(String::from_utf8_lossy(&printed.stdout).contains("1 values DIFFER"));
     let refused = |arguments: &[&str], words: &str| {
-        let told = fails(stemgen(here).args(arguments));
-        assert!(told.contains(words), "{arguments:?}: {told}");
+        let printed = fails(stemgen(here).args(arguments));
+        assert!(printed.contains(words), "{arguments:?}: {printed}");
     };
     refused(&["patterns", "r.toml", "--write-request", "r.txt"], "did you mean r.toml?");
     refused(&["patterns", "r.toml", "--mtf", "none.csv"], "none.csv");
@@ -331,8 +332,8 @@ fn mistakes_are_refused_with_the_remedy() {
     let here = folder.path();
     silicon(here);
     let refused = |arguments: &[&str], words: &str| {
-        let told = fails(stemgen(here).args(arguments));
-        assert!(told.contains(words), "{arguments:?}: {told}");
+        let printed = fails(stemgen(here).args(arguments));
+        assert!(printed.contains(words), "{arguments:?}: {printed}");
     };
     let patterns = |more: &[&str], words: &str| {
         refused(&[&["patterns", "si.cif"], SMALL, more].concat(), words);

@@ -23,8 +23,8 @@ fn the_list_holds_every_recipe_and_tier() {
     let text = stdout(&stemgen(&here).arg("list").output().unwrap());
     assert_eq!(text.lines().count(), rows.len() + 1);
     assert!(text.contains("O vacancies 5.0 %") && text.contains("0.02015"), "{text}");
-    let told = fails(stemgen(&here).args(["list", "srtoi3"]));
-    assert!(told.contains("did you mean `srtio3`"), "{told}");
+    let printed = fails(stemgen(&here).args(["list", "srtoi3"]));
+    assert!(printed.contains("did you mean `srtio3`"), "{printed}");
 }
 
 #[test]
@@ -66,13 +66,13 @@ fn files_of_atoms_stand_where_recipes_do() {
     std::fs::write(folder.path().join("own.toml"), &shown.stdout).unwrap();
     let again = run(&["specimen", "own.toml", "-o", "again.extxyz"]);
     assert_eq!((&again["sites"], &again["atoms"]), (&4.into(), &written["atoms"]));
-    let told = fails(stemgen(folder.path()).args(["build", "own.xyz", "--difficulty", "easy"]));
-    assert!(told.contains("a file of atoms has no tiers"), "{told}");
+    let printed = fails(stemgen(folder.path()).args(["build", "own.xyz", "--difficulty", "easy"]));
+    assert!(printed.contains("a file of atoms has no tiers"), "{printed}");
     write(&text.replace("vacancy_Au", "hole"));
-    let told = fails(stemgen(folder.path()).args(["build", "own.xyz"]));
-    assert!(told.contains("own.xyz:6: defect is `hole`"), "{told}");
-    let told = fails(stemgen(folder.path()).args(["build", "own.toml"]));
-    assert!(told.contains("own.xyz has changed since the recipe was resolved"), "{told}");
+    let printed = fails(stemgen(folder.path()).args(["build", "own.xyz"]));
+    assert!(printed.contains("own.xyz:6: defect is `hole`"), "{printed}");
+    let printed = fails(stemgen(folder.path()).args(["build", "own.toml"]));
+    assert!(printed.contains("own.xyz has changed since the recipe was resolved"), "{printed}");
 }
 
 #[test]
@@ -126,9 +126,12 @@ fn all_commands_tell_the_same_about_a_bad_recipe() {
     for (arguments, parts) in cases {
         for subcommand in ["build", "specimen", "show-recipe"] {
             let mut command = stemgen(folder.path());
-            let told = fails(command.arg(subcommand).args(easy).args(arguments));
+            let printed = fails(command.arg(subcommand).args(easy).args(arguments));
             for part in parts {
-                assert!(told.contains(part), "{subcommand} {arguments:?}: no `{part}` in\n{told}");
+                assert!(
+                    printed.contains(part),
+                    "{subcommand} {arguments:?}: no `{part}` in\n{printed}"
+                );
             }
         }
     }
@@ -136,14 +139,17 @@ fn all_commands_tell_the_same_about_a_bad_recipe() {
         [("seed", "missing field `seed`"), ("vacancies.rat", "does not contain this key")]
     {
         let mut command = stemgen(folder.path());
-        let told = fails(command.args(["build"]).args(easy).args(["--unset", key]));
-        assert!(told.contains(&format!("--unset {key}: ")) && told.contains(part), "{told}");
+        let printed = fails(command.args(["build"]).args(easy).args(["--unset", key]));
+        assert!(
+            printed.contains(&format!("--unset {key}: ")) && printed.contains(part),
+            "{printed}"
+        );
     }
     for (arguments, part) in
         [(&["srtio3"][..], "--difficulty"), (&["replay", "--difficulty", "easy"], "no difficulty")]
     {
-        let told = fails(stemgen(folder.path()).arg("build").args(arguments));
-        assert!(told.contains(part), "{arguments:?}: {told}");
+        let printed = fails(stemgen(folder.path()).arg("build").args(arguments));
+        assert!(printed.contains(part), "{arguments:?}: {printed}");
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing was begun");
 }

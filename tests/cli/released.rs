@@ -23,8 +23,8 @@ fn build_all(folder: &Path) -> Command {
     command
 }
 
-fn outcomes(told: &serde_json::Value) -> Vec<(&str, &str)> {
-    let all = told.as_array().unwrap().iter();
+fn outcomes(printed: &serde_json::Value) -> Vec<(&str, &str)> {
+    let all = printed.as_array().unwrap().iter();
     all.map(|w| (w["name"].as_str().unwrap(), w["outcome"].as_str().unwrap())).collect()
 }
 
@@ -32,13 +32,13 @@ fn outcomes(told: &serde_json::Value) -> Vec<(&str, &str)> {
 fn all_worlds_are_built_in_one_run() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let told = json(build_all(here).args(["--dry-run"]));
+    let printed = json(build_all(here).args(["--dry-run"]));
     let names = ["srtio3_easy_1x1", "srtio3_medium_1x1", "srtio3_hard_1x1", "test_1x1"];
-    assert_eq!(outcomes(&told), names.map(|name| (name, "planned")));
+    assert_eq!(outcomes(&printed), names.map(|name| (name, "planned")));
     assert!(!here.join("all").exists());
-    let told = json(build_all(here).args(["--difficulty", "hard"]));
+    let printed = json(build_all(here).args(["--difficulty", "hard"]));
     // `test` has no tiers, and is named.
-    assert_eq!(outcomes(&told)[0], ("srtio3_hard_1x1", "built"));
+    assert_eq!(outcomes(&printed)[0], ("srtio3_hard_1x1", "built"));
     let before =
         std::fs::metadata(here.join("all/srtio3_hard_1x1.h5")).unwrap().modified().unwrap();
     // As a build that is killed in its very last step leaves it.
@@ -65,13 +65,16 @@ fn all_worlds_are_built_in_one_run() {
     let bytes = |path: &str| std::fs::read(here.join(path)).unwrap();
     assert!(bytes("one.h5") == bytes("all/srtio3_easy_1x1.h5"));
     // Other worlds under these names.
-    let told = fails(build_all(here).arg("--no-noise"));
-    assert!(told.contains("srtio3_easy_1x1.h5: exists") && told.contains("--overwrite"), "{told}");
+    let printed = fails(build_all(here).arg("--no-noise"));
+    assert!(
+        printed.contains("srtio3_easy_1x1.h5: exists") && printed.contains("--overwrite"),
+        "{printed}"
+    );
     std::fs::write(here.join("file"), "").unwrap();
-    let told = fails(stemgen(here).args(["build", "--all", "-o", "file"]));
-    assert!(told.contains("is a file"), "{told}");
-    let told = fails(stemgen(here).args(["build", "--all", "--materials", "stio3"]));
-    assert!(told.contains("known materials"), "{told}");
+    let printed = fails(stemgen(here).args(["build", "--all", "-o", "file"]));
+    assert!(printed.contains("is a file"), "{printed}");
+    let printed = fails(stemgen(here).args(["build", "--all", "--materials", "stio3"]));
+    assert!(printed.contains("known materials"), "{printed}");
 }
 
 #[test]
@@ -79,11 +82,11 @@ fn shards_share_all_worlds() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     for shard in ["1/2", "0/2"] {
-        let told = json(build_all(here).args(["--shard", shard, "--difficulty", "easy"]));
-        assert_eq!(outcomes(&told)[0], ("srtio3_easy_1x1", "part"), "{told}");
+        let printed = json(build_all(here).args(["--shard", shard, "--difficulty", "easy"]));
+        assert_eq!(outcomes(&printed)[0], ("srtio3_easy_1x1", "part"), "{printed}");
     }
-    let told = json(build_all(here).args(["--difficulty", "easy"]));
-    assert_eq!(told[0]["subtiles_resumed"], told[0]["subtiles"], "{told}");
+    let printed = json(build_all(here).args(["--difficulty", "easy"]));
+    assert_eq!(printed[0]["subtiles_resumed"], printed[0]["subtiles"], "{printed}");
 }
 
 fn regenerate(folder: &Path) -> Command {
@@ -120,9 +123,9 @@ fn whatever_differs_from_a_released_world_is_named() {
         command.args(["test", "--manifest", "own.toml", "-o", "own"]);
         command
     };
-    let told = json(own().args(["-q"]));
-    assert_eq!(told[0]["sameness"]["sameness"], "same_bytes");
-    assert!(told[0]["sameness"]["compared"].as_u64().unwrap() > 40, "{told}");
+    let printed = json(own().args(["-q"]));
+    assert_eq!(printed[0]["sameness"]["sameness"], "same_bytes");
+    assert!(printed[0]["sameness"]["compared"].as_u64().unwrap() > 40, "{printed}");
     let table = stdout(&own().output().unwrap());
     assert!(
         table.contains("not compared (test): /metadata@stemgen_version (version of"),
@@ -159,7 +162,7 @@ fn whatever_differs_from_a_released_world_is_named() {
         (&group, "DIFFERS: /notes (not in the release)\n"),
         (&list, "/ground_truth/atom_z (missing)"),
     ];
-    let told = || {
+    let printed = || {
         let ended = own().output().unwrap();
         assert!(ended.status.code().is_some_and(|c| [0, 3].contains(&c)), "{}", stderr(&ended));
         let table = stdout(&ended) + "\n";
@@ -171,12 +174,12 @@ fn whatever_differs_from_a_released_world_is_named() {
         let file = hdf5::File::open_rw(&world).unwrap();
         change(&file);
         file.close().unwrap();
-        let table = told();
+        let table = printed();
         assert!(table.contains(expected), "{expected}: {table}");
     }
     for name in ["overview", "valid_region"] {
         change_value(&world, name);
-        let table = told();
+        let table = printed();
         assert!(table.contains(&format!("DIFFERS: /{name}\n")), "{table}");
     }
 }
@@ -196,10 +199,10 @@ fn exchange_tiles(world: &Path, group: &str) {
 fn a_released_world_is_what_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let told = json(regenerate(here).args(["test", "-o", "again"]));
-    let sameness = told[0]["sameness"]["sameness"].as_str().unwrap();
-    assert!(["same_bytes", "same_values"].contains(&sameness), "{told}");
-    assert!(told[0]["peak_memory_bytes"].as_u64().unwrap() > 10_000_000, "{told}");
+    let printed = json(regenerate(here).args(["test", "-o", "again"]));
+    let sameness = printed[0]["sameness"]["sameness"].as_str().unwrap();
+    assert!(["same_bytes", "same_values"].contains(&sameness), "{printed}");
+    assert!(printed[0]["peak_memory_bytes"].as_u64().unwrap() > 10_000_000, "{printed}");
     let checked = python("../schema/check_world.py", &[&here.join("again/test.h5")]);
     assert!(checked.contains("the schema holds"), "{checked}");
     let text = std::fs::read_to_string(file("worlds/manifest.toml")).unwrap();
@@ -228,8 +231,8 @@ fn a_released_world_is_what_it_was() {
     let pin = ["test", "--manifest", "own.toml", "--pin", "-o", "again"];
     assert!(regenerate(here).args(pin).status().unwrap().success());
     let own = ["test", "--manifest", "own.toml", "-o", "again"];
-    let told = json(regenerate(here).args(own));
-    assert_eq!(told[0]["sameness"]["sameness"], "same_bytes");
+    let printed = json(regenerate(here).args(own));
+    assert_eq!(printed[0]["sameness"]["sameness"], "same_bytes");
     exchange_tiles(&here.join("again/test.h5"), "tiles");
     let ended = regenerate(here).args(own).output().unwrap();
     assert_eq!(ended.status.code(), Some(3));
@@ -242,9 +245,12 @@ fn a_released_world_is_what_it_was() {
     std::fs::write(here.join("again/srtio3_easy.h5"), "no HDF5").unwrap();
     let ended = regenerate(here).args(["srtio3_easy", "test", "-o", "again"]).output().unwrap();
     assert_eq!(ended.status.code(), Some(1));
-    let told = stderr(&ended);
-    assert!(told.contains("error: srtio3_easy: ") && told.contains("is not HDF5"), "{told}");
-    assert!(told.contains("1 of 2 worlds were not compared"), "{told}");
+    let printed = stderr(&ended);
+    assert!(
+        printed.contains("error: srtio3_easy: ") && printed.contains("is not HDF5"),
+        "{printed}"
+    );
+    assert!(printed.contains("1 of 2 worlds were not compared"), "{printed}");
     let table = stdout(&ended);
     assert!(table.contains("FAILED") && table.contains("was there"), "{table}");
     let f = hdf5::File::open_rw(here.join("again/test.h5")).unwrap();
@@ -252,10 +258,13 @@ fn a_released_world_is_what_it_was() {
     f.close().unwrap();
     let ended = regenerate(here).args(["test", "-o", "again"]).output().unwrap();
     assert_eq!(ended.status.code(), Some(1));
-    let told = stderr(&ended);
-    assert!(told.contains("holds no noiseless image to compare; move it away"), "{told}");
-    let told = fails(regenerate(here).arg("nope"));
-    assert!(told.contains("nope: is no world of the manifest") && told.contains("test"), "{told}");
+    let printed = stderr(&ended);
+    assert!(printed.contains("holds no noiseless image to compare; move it away"), "{printed}");
+    let printed = fails(regenerate(here).arg("nope"));
+    assert!(
+        printed.contains("nope: is no world of the manifest") && printed.contains("test"),
+        "{printed}"
+    );
 }
 
 #[test]
@@ -264,8 +273,8 @@ fn a_world_is_pinned() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let pin = ["test", "--manifest", "mine.toml", "--pin", "--check", "--no-cache"];
-    let told = json(regenerate(here).args(pin));
-    assert!(told[0].get("sameness").is_none(), "{told}");
+    let printed = json(regenerate(here).args(pin));
+    assert!(printed[0].get("sameness").is_none(), "{printed}");
     let left: Vec<_> = std::fs::read_dir(here).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(left, ["mine.toml"]);
     let mine = std::fs::read_to_string(here.join("mine.toml")).unwrap();

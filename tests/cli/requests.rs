@@ -103,13 +103,13 @@ fn bad_requests_are_refused_with_what_is_wrong() {
         ("structure = \"si.cif\"\nelectrons_per_angstrom2 = 1e15\n", "more than can be counted"),
         ("material = \"srtio3\"\n", "unknown field `material`"),
     ] {
-        let told = with(text);
-        assert!(told.contains(words), "{text}: {told}");
+        let printed = with(text);
+        assert!(printed.contains(words), "{text}: {printed}");
     }
-    let told = fails(stemgen(here).args(["simulate", "si.cif", "--write-request", "r.h5"]));
-    assert!(told.contains("did you mean r.toml?"), "{told}");
-    let told = fails(stemgen(here).args(["simulate", "si.cif", "--write-request", "r.toml"]));
-    assert!(told.contains("r.toml") && told.contains("--overwrite"), "{told}");
+    let printed = fails(stemgen(here).args(["simulate", "si.cif", "--write-request", "r.h5"]));
+    assert!(printed.contains("did you mean r.toml?"), "{printed}");
+    let printed = fails(stemgen(here).args(["simulate", "si.cif", "--write-request", "r.toml"]));
+    assert!(printed.contains("r.toml") && printed.contains("--overwrite"), "{printed}");
 }
 
 #[test]
@@ -135,8 +135,8 @@ fn images_are_made_again_from_what_they_hold() {
     assert!(run.status.success(), "{}", stderr(&run));
     let info = stemgen(here).args(["info", "si.h5"]).output().unwrap();
     assert!(stdout(&info).contains("stemgen rerun si.h5"), "{}", stdout(&info));
-    let told = json(stemgen(here).args(["info", "si.h5"]));
-    assert_eq!(told["images"][0]["request"]["structure"], "si.cif");
+    let printed = json(stemgen(here).args(["info", "si.h5"]));
+    assert_eq!(printed["images"][0]["request"]["structure"], "si.cif");
     let again = stemgen(here).args(["rerun", "si.h5"]).output().unwrap();
     assert!(
         again.status.success() && stdout(&again).contains("ADF: the same bits"),
@@ -181,12 +181,13 @@ fn the_command_line_refuses_and_warns_as_the_library_does() {
         warnings.iter().filter_map(|w| w.as_str()).find(|w| w.contains("is narrow")).unwrap();
     assert!(narrow.contains("repeat it 3,3,1 times") && narrow.contains("--repeat"), "{narrow}");
     assert!(simulate(&["-o", "x.tif"]).contains("did you mean x.h5?"));
-    let told = simulate(&["--plane-wave", "--thicknesses", "2,4"]);
-    assert!(told.contains("a plane wave is known at the exit surface only"), "{told}");
-    let told = simulate(&["--plane-wave", "--interpolation", "2"]);
+    let printed = simulate(&["--plane-wave", "--thicknesses", "2,4"]);
+    assert!(printed.contains("a plane wave is known at the exit surface only"), "{printed}");
+    let printed = simulate(&["--plane-wave", "--interpolation", "2"]);
     assert!(
-        told.contains("a plane wave is propagated by multislice") && told.contains("--engine"),
-        "{told}"
+        printed.contains("a plane wave is propagated by multislice")
+            && printed.contains("--engine"),
+        "{printed}"
     );
 }
 
@@ -201,7 +202,7 @@ fn defaults_in_the_help_are_those_of_the_request() {
     let request: toml::Table =
         std::fs::read_to_string(here.join("r.toml")).unwrap().parse().unwrap();
     let help = stdout(&stemgen(here).args(["simulate", "--help"]).output().unwrap());
-    let told = |option: &str| {
+    let printed = |option: &str| {
         let from = help
             .find(&format!("--{option} <"))
             .unwrap_or_else(|| panic!("--{option} is not in the help"));
@@ -225,16 +226,19 @@ fn defaults_in_the_help_are_those_of_the_request() {
             toml::Value::Float(number) => number.to_string(),
             other => other.to_string(),
         };
-        assert_eq!(told(option), known, "--{option}");
+        assert_eq!(printed(option), known, "--{option}");
     }
     let defocus = request["microscope"]["defocus_angstrom"].as_array().unwrap();
-    assert_eq!((told("defocus"), defocus.len(), defocus[0].as_float()), ("0".into(), 1, Some(0.0)));
+    assert_eq!(
+        (printed("defocus"), defocus.len(), defocus[0].as_float()),
+        ("0".into(), 1, Some(0.0))
+    );
     let [detector] = &request["microscope"]["detectors"].as_array().unwrap()[..] else {
         panic!("{request:?}")
     };
     let annulus = ["inner_mrad", "outer_mrad"].map(|key| detector[key].as_float().unwrap());
     assert_eq!(
-        told("detector"),
+        printed("detector"),
         format!("{}={}-{}", detector["name"].as_str().unwrap(), annulus[0], annulus[1])
     );
 }

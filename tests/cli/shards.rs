@@ -78,10 +78,10 @@ fn any_number_of_parts(counts: [&[usize]; 3]) {
         let whole = alone(method);
         for &count in counts {
             let folder = tempfile::tempdir().unwrap();
-            let told = in_parts(folder.path(), method, count);
-            assert!(told["subtiles"].as_u64().unwrap() > 7, "{told}");
-            assert_eq!(told["subtiles_resumed"], told["subtiles"], "{told}");
-            assert_ne!(told["library"][1].as_u64(), Some(18), "{told}");
+            let printed = in_parts(folder.path(), method, count);
+            assert!(printed["subtiles"].as_u64().unwrap() > 7, "{printed}");
+            assert_eq!(printed["subtiles_resumed"], printed["subtiles"], "{printed}");
+            assert_ne!(printed["library"][1].as_u64(), Some(18), "{printed}");
             let bytes = std::fs::read(folder.path().join("w.h5")).unwrap();
             assert!(bytes == whole, "{method:?} in {count}");
             assert!(!folder.path().join("w.h5.work").exists());
@@ -136,16 +136,20 @@ fn parts_say_what_they_did_and_what_comes_next() {
         assert!(output.status.success(), "{}", stderr(&output));
         stdout(&output)
     };
-    let told = part("0/2");
-    assert!(told.contains("0/2 of w.h5") && told.contains("lack 9 images"), "{told}");
-    let told = part("1/2");
-    assert!(told.contains("sub-tiles") && told.contains("without --shard"), "{told}");
+    let printed = part("0/2");
+    assert!(printed.contains("0/2 of w.h5") && printed.contains("lack 9 images"), "{printed}");
+    let printed = part("1/2");
+    assert!(printed.contains("sub-tiles") && printed.contains("without --shard"), "{printed}");
     let mut task = build(here, &MOSAIC);
     task.args(["--shard", "slurm"]).env("SLURM_ARRAY_TASK_ID", "11");
     task.env("SLURM_ARRAY_TASK_MIN", "10").env("SLURM_ARRAY_TASK_COUNT", "2");
-    let told = json(&mut task);
-    assert_eq!((&told["shard"], &told["library_lacks"]), (&[1, 2].into(), &0.into()), "{told}");
-    assert_eq!(told["subtiles_resumed"], told["subtiles"], "{told}");
+    let printed = json(&mut task);
+    assert_eq!(
+        (&printed["shard"], &printed["library_lacks"]),
+        (&[1, 2].into(), &0.into()),
+        "{printed}"
+    );
+    assert_eq!(printed["subtiles_resumed"], printed["subtiles"], "{printed}");
 }
 
 #[test]
@@ -157,16 +161,16 @@ fn parts_of_another_world_are_refused_and_kept() {
     let kept = || std::fs::read_dir(here.join("w.h5.work")).unwrap().count();
     let before = kept();
     assert!(before > 2);
-    let told = fails(build(here, &WINDOWS).args(["--seed", "5", "--shard", "1/2"]));
-    assert!(told.contains("sub-tiles of another build (seed = 1, now seed = 5)"), "{told}");
+    let printed = fails(build(here, &WINDOWS).args(["--seed", "5", "--shard", "1/2"]));
+    assert!(printed.contains("sub-tiles of another build (seed = 1, now seed = 5)"), "{printed}");
     let other = ["--engine", "window", "--subtile", "0.9", "--subtile-overlap", "0.1"];
-    let told = fails(build(here, &other).args(["--shard", "1/2"]));
-    assert!(told.contains("sub-tiles of another build"), "{told}");
+    let printed = fails(build(here, &other).args(["--shard", "1/2"]));
+    assert!(printed.contains("sub-tiles of another build"), "{printed}");
     assert_eq!(kept(), before);
     let run = build(here, &WINDOWS).output().unwrap();
     assert!(run.status.success(), "{}", stderr(&run));
-    let told = fails(build(here, &WINDOWS).args(["--shard", "1/2"]));
-    assert!(told.contains("w.h5") && told.contains("exists"), "{told}");
+    let printed = fails(build(here, &WINDOWS).args(["--shard", "1/2"]));
+    assert!(printed.contains("w.h5") && printed.contains("exists"), "{printed}");
 }
 
 #[test]
@@ -176,12 +180,12 @@ fn bad_shards_are_explained() {
         [("2/2", "0/2 to 1/2"), ("1", "K/N"), ("0/0", "above 0"), ("slurm", "job array")]
     {
         let mut command = build(folder.path(), &WINDOWS);
-        let told = fails(command.args(["--shard", shard]).env_remove("SLURM_ARRAY_TASK_ID"));
-        assert!(told.contains(said), "{shard}: {told}");
+        let printed = fails(command.args(["--shard", shard]).env_remove("SLURM_ARRAY_TASK_ID"));
+        assert!(printed.contains(said), "{shard}: {printed}");
     }
     for other in [&["--dry-run"][..], &["--max-error", "1"], &["--overwrite"]] {
-        let told = fails(build(folder.path(), &[]).args(["--shard", "0/2"]).args(other));
-        assert!(told.contains("cannot be used with"), "{told}");
+        let printed = fails(build(folder.path(), &[]).args(["--shard", "0/2"]).args(other));
+        assert!(printed.contains("cannot be used with"), "{printed}");
     }
     for (other, said) in [
         (&["test", "--accuracy", "1%"][..], "--accuracy lets an audit choose the engine"),
@@ -190,8 +194,8 @@ fn bad_shards_are_explained() {
         (&["test", "--shard", "0/2"], "--shard has no place"),
     ] {
         let mut command = stemgen(folder.path());
-        let told = fails(command.args(["slurm", "--shards", "2", "build"]).args(other));
-        assert!(told.contains(said), "{told}");
+        let printed = fails(command.args(["slurm", "--shards", "2", "build"]).args(other));
+        assert!(printed.contains(said), "{printed}");
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
@@ -209,11 +213,12 @@ fn by_script(folder: &Path, around: &mut Command) -> String {
     std::fs::write(folder.join("jobs.sh"), stdout(&script)).unwrap();
     around.current_dir(folder).env("STEMGEN_CACHE", folder.join("cache"));
     let ended = around.env("STEMGEN", env!("CARGO_BIN_EXE_stemgen")).output().unwrap();
-    let told = stdout(&ended) + &stderr(&ended);
-    assert!(ended.status.success(), "{told}");
-    let world = std::fs::read(folder.join("w o r'ld.h5")).unwrap_or_else(|e| panic!("{e}: {told}"));
-    assert!(world == alone(&MOSAIC), "{told}");
-    told
+    let printed = stdout(&ended) + &stderr(&ended);
+    assert!(ended.status.success(), "{printed}");
+    let world =
+        std::fs::read(folder.join("w o r'ld.h5")).unwrap_or_else(|e| panic!("{e}: {printed}"));
+    assert!(world == alone(&MOSAIC), "{printed}");
+    printed
 }
 
 /// Runs the tasks of an array one after the other, and tells the number of the job.
@@ -247,8 +252,8 @@ fn a_script_for_a_cluster_builds_the_world() {
     std::fs::write(&sbatch, SBATCH).unwrap();
     std::fs::set_permissions(&sbatch, std::fs::Permissions::from_mode(0o755)).unwrap();
     let path = format!("{}:{}", here.join("bin").display(), std::env::var("PATH").unwrap());
-    let told = by_script(here, Command::new("bash").arg("jobs.sh").env("PATH", path));
-    assert!(told.contains("job 3 writes w o r'ld.h5"), "{told}");
+    let printed = by_script(here, Command::new("bash").arg("jobs.sh").env("PATH", path));
+    assert!(printed.contains("job 3 writes w o r'ld.h5"), "{printed}");
     let asked = std::fs::read_to_string(here.join("asked.txt")).unwrap();
     let asked: Vec<&str> = asked.lines().collect();
     assert_eq!(asked.len(), 3, "{asked:?}");
@@ -279,20 +284,20 @@ fn slurm_builds_the_world() {
                 srun --dependency=afterany:$number true; cat slurm-*.out";
     let mut around = Command::new("bash");
     around.arg(file("tests/slurm/one_node.sh")).arg(here.join("slurm")).args(["bash", "-c", wait]);
-    let told = by_script(here, &mut around);
-    print!("{told}");
-    assert_eq!(told.matches("/3 of w o r'ld.h5").count(), 6, "{told}");
+    let printed = by_script(here, &mut around);
+    print!("{printed}");
+    assert_eq!(printed.matches("/3 of w o r'ld.h5").count(), 6, "{printed}");
 }
 
 #[test]
 fn bad_jobs_are_explained() {
     let folder = tempfile::tempdir().unwrap();
-    let told =
+    let printed =
         |words: &[&str]| fails(stemgen(folder.path()).args(["slurm", "--shards", "2"]).args(words));
-    assert!(told(&["biuld", "srtio3"]).contains("`biuld` is no build"));
-    assert!(told(&["build", "srtio3"]).contains("comes in tiers"));
-    assert!(told(&["build", "srtio3", "--difficulty", "easiest"]).contains("easiest"));
-    assert!(told(&["build", "test", "--shard=0/2"]).contains("--shard has no place"));
+    assert!(printed(&["biuld", "srtio3"]).contains("`biuld` is no build"));
+    assert!(printed(&["build", "srtio3"]).contains("comes in tiers"));
+    assert!(printed(&["build", "srtio3", "--difficulty", "easiest"]).contains("easiest"));
+    assert!(printed(&["build", "test", "--shard=0/2"]).contains("--shard has no place"));
     assert!(fails(stemgen(folder.path()).args(["slurm", "build", "test"])).contains("--shards"));
 }
 
@@ -348,16 +353,16 @@ fn scans_are_simulated_in_parts() {
     // Parts of other images are refused, and stay.
     assert!(series(here).args(["--shard", "0/2"]).status().unwrap().success());
     for shard in [&["--shard", "1/2"][..], &[]] {
-        let told = fails(series(here).args(["--seed", "5"]).args(shard));
-        assert!(told.contains("part_0_of_2.part: is a part of other images"), "{told}");
+        let printed = fails(series(here).args(["--seed", "5"]).args(shard));
+        assert!(printed.contains("part_0_of_2.part: is a part of other images"), "{printed}");
     }
     assert!(series(here).args(["--shard", "1/2"]).status().unwrap().success());
-    let told = fails(series(here).args(["--shard", "2/2"]));
-    assert!(told.contains("0/2 to 1/2"), "{told}");
+    let printed = fails(series(here).args(["--shard", "2/2"]));
+    assert!(printed.contains("0/2 to 1/2"), "{printed}");
     let mut prism = stemgen(here);
     prism.args(["simulate", &file("structures/si.cif"), "--algorithm", "prism", "-o", "p.h5"]);
-    let told = fails(prism.args(["--repeat", "2,2,1", "--shard", "0/2"]));
-    assert!(told.contains("parts of a scan"), "{told}");
-    let told = fails(series(here).args(["--plane-wave", "--shard", "0/2"]));
-    assert!(told.contains("cannot be used with"), "{told}");
+    let printed = fails(prism.args(["--repeat", "2,2,1", "--shard", "0/2"]));
+    assert!(printed.contains("parts of a scan"), "{printed}");
+    let printed = fails(series(here).args(["--plane-wave", "--shard", "0/2"]));
+    assert!(printed.contains("cannot be used with"), "{printed}");
 }

@@ -19,8 +19,8 @@ fn files_are_read_by_h5py() {
     let run =
         silicon(folder.path()).args(["--png", "--thicknesses", "2.7,5.431"]).output().unwrap();
     assert!(run.status.success() && stdout(&run).is_empty(), "{}", stderr(&run));
-    let told = python("check_images.py", &[&folder.path().join("si.h5")]);
-    assert_eq!(told, "ADF 2 10 10\nBF 2 10 10\n");
+    let printed = python("check_images.py", &[&folder.path().join("si.h5")]);
+    assert_eq!(printed, "ADF 2 10 10\nBF 2 10 10\n");
     let mut names: Vec<String> = std::fs::read_dir(folder.path())
         .unwrap()
         .map(|e| e.unwrap().file_name().into_string().unwrap())
@@ -66,8 +66,8 @@ fn exit_waves_of_probes_are_a_numpy_array() {
     ]);
     let summary = json(command.args(["--exit-waves"]));
     assert!(summary["exit_waves"].as_str().unwrap().ends_with("si_exit_waves.npy"), "{summary}");
-    let told = python("check_waves.py", &[&folder.path().join("si_exit_waves.npy")]);
-    assert_eq!(told, "complex64 (2, 2, 2, 3, 1, 55, 55)\n");
+    let printed = python("check_waves.py", &[&folder.path().join("si_exit_waves.npy")]);
+    assert_eq!(printed, "complex64 (2, 2, 2, 3, 1, 55, 55)\n");
     let wrong =
         silicon(folder.path()).args(["--exit-waves", "--engine", "window"]).output().unwrap();
     assert!(!wrong.status.success() && stderr(&wrong).contains("full grid"), "{}", stderr(&wrong));
@@ -81,13 +81,13 @@ fn plane_waves_give_exit_wave_and_image() {
     command.args(["--plane-wave", "--defocus", "-60.5", "--sampling", "0.1", "--png"]);
     let summary = json(command.args(["--phonons", "2", "--sigma", "0.08"]));
     assert_eq!(summary["images"][0]["name"], "lens");
-    let told = python("check_images.py", &[&folder.path().join("si.h5")]);
-    assert!(told.starts_with("lens 1 "), "{told}");
+    let printed = python("check_images.py", &[&folder.path().join("si.h5")]);
+    assert!(printed.starts_with("lens 1 "), "{printed}");
     assert!(folder.path().join("si_lens.png").exists());
 }
 
 #[test]
-fn a_dry_run_tells_the_numbers_and_writes_nothing() {
+fn a_dry_run_prints_the_numbers_and_writes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = stemgen(folder.path());
     command.arg("simulate").arg(file("structures/srtio3.cif"));
@@ -137,8 +137,8 @@ fn series_source_dose_and_formats() {
     command.args(["--dose", "1e6", "--seed", "7", "--tiff", "16", "--hspy", "--png"]);
     let summary = json(command.args(["--no-scale-bar", "--quiet"]));
     assert!(summary["images"][0]["electrons"].as_u64().unwrap() > 1000, "{summary}");
-    let told = python("check_results.py", &[&folder.path().join("si.h5")]);
-    assert_eq!(told, "4 images\n");
+    let printed = python("check_results.py", &[&folder.path().join("si.h5")]);
+    assert_eq!(printed, "4 images\n");
     for name in ["ADF.tif", "ADF_noisy.tif", "ADF_defocus_0A.png", "ADF_defocus_50A_noisy.png"] {
         assert!(folder.path().join(format!("si_{name}")).exists(), "{name}");
     }
@@ -225,20 +225,22 @@ fn frames_and_displacements_come_from_files() {
     assert_eq!(sigma("from-file"), sigma("0.08"));
     let mut none = stemgen(here);
     let si = file("structures/si.cif");
-    let told = super::fails(none.args(["simulate", &si, "--phonons", "2", "--sigma", "from-file"]));
-    assert!(told.contains("_atom_site_u_iso_or_equiv"), "{told}");
+    let printed =
+        super::fails(none.args(["simulate", &si, "--phonons", "2", "--sigma", "from-file"]));
+    assert!(printed.contains("_atom_site_u_iso_or_equiv"), "{printed}");
     // B is 0.4630 at 280 K in the table.
     let expected = (0.4630 / (8.0 * std::f64::consts::PI.powi(2))).sqrt().to_string();
     let table = ["u.cif", "--phonons", "2", "--sigma", "table", "--temperature", "280"];
     assert_eq!(image(&table), sigma(&expected));
     let mut lacks = stemgen(here);
     let oxide = file("structures/srtio3.cif");
-    let told = super::fails(lacks.args(["simulate", &oxide, "--phonons", "2", "--sigma", "table"]));
-    assert!(told.contains("O is not among them"), "{told}");
+    let printed =
+        super::fails(lacks.args(["simulate", &oxide, "--phonons", "2", "--sigma", "table"]));
+    assert!(printed.contains("O is not among them"), "{printed}");
     let mut cold = stemgen(here);
     let table = ["--phonons", "2", "--sigma", "table", "--temperature", "77"];
-    let told = super::fails(cold.args(["simulate", &si]).args(table));
-    assert!(told.contains("200 to 400 K") && told.contains("--temperature"), "{told}");
+    let printed = super::fails(cold.args(["simulate", &si]).args(table));
+    assert!(printed.contains("200 to 400 K") && printed.contains("--temperature"), "{printed}");
 }
 
 /// The same command gives the same bytes, at any time.
@@ -301,14 +303,14 @@ fn a_warning_is_a_sentence_without_gaps() {
     assert!(!warnings.is_empty() && warnings.iter().all(|w| !w.contains("  ")), "{warnings:?}");
     let mut build = stemgen(folder.path());
     build.args(["build", "--recipe", &file("tests/cli/tiny.toml"), "--accuracy", "1", "--dry-run"]);
-    let told = stderr(&build.output().unwrap());
-    let warning = told.lines().find(|l| l.contains("was not measured for")).expect(&told);
+    let printed = stderr(&build.output().unwrap());
+    let warning = printed.lines().find(|l| l.contains("was not measured for")).expect(&printed);
     assert!(!warning.contains("  "), "{warning}");
 }
 
 /// What was asked and found is in the summary, in the plan, and in the file.
 #[test]
-fn an_accuracy_is_measured_and_told() {
+fn an_accuracy_is_measured_and_printed() {
     let folder = tempfile::tempdir().unwrap();
     let run = |more: &[&str]| {
         let mut command = stemgen(folder.path());
@@ -327,13 +329,13 @@ fn an_accuracy_is_measured_and_told() {
     }
     assert_eq!(planned["tried"], found["tried"]);
     let file = hdf5::File::open(folder.path().join("si.h5")).unwrap();
-    let told: hdf5::types::VarLenUnicode = file.attr("accuracy").unwrap().read_scalar().unwrap();
-    let told: serde_json::Value = serde_json::from_str(&told).unwrap();
+    let printed: hdf5::types::VarLenUnicode = file.attr("accuracy").unwrap().read_scalar().unwrap();
+    let printed: serde_json::Value = serde_json::from_str(&printed).unwrap();
     assert_eq!(
-        (&told["tried"], &told["asked_percent"]),
+        (&printed["tried"], &printed["asked_percent"]),
         (&found["tried"], &found["asked_percent"])
     );
-    assert!(told.get("measured_in_s").is_none(), "{told}");
+    assert!(printed.get("measured_in_s").is_none(), "{printed}");
 }
 
 /// Out of focus the probe is wide, and so is the window that it takes.
@@ -345,11 +347,11 @@ fn an_accuracy_is_measured_for_each_defocus() {
     command.args(["--scan-start", "8,8", "--scan-end", "14.4,14.4", "--scan-step", "0.4"]);
     command.args(["--accuracy", "3%", "--defocus", "0:100:100", "-o", "si.h5"]);
     let found = json(&mut command)["accuracy"].clone();
-    let told: hdf5::types::VarLenUnicode = hdf5::File::open(folder.path().join("si.h5"))
+    let printed: hdf5::types::VarLenUnicode = hdf5::File::open(folder.path().join("si.h5"))
         .and_then(|f| f.attr("accuracy")?.read_scalar())
         .unwrap();
-    let told: serde_json::Value = serde_json::from_str(&told).unwrap();
-    for reports in [&found, &told] {
+    let printed: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    for reports in [&found, &printed] {
         let of = |n: usize| reports[n]["tried"].as_array().unwrap().last().unwrap().clone();
         let (sharp, wide) = (of(0), of(1));
         assert_eq!(reports.as_array().unwrap().len(), 2, "{reports}");
@@ -400,15 +402,15 @@ fn electrons_beyond_counting_and_names_used_twice_are_refused() {
         fails(&mut command)
     };
     for dose in ["1e20", "1e308"] {
-        let told = run(&["--dose", dose]);
-        assert!(told.contains("more than can be counted; expected at most"), "{told}");
+        let printed = run(&["--dose", dose]);
+        assert!(printed.contains("more than can be counted; expected at most"), "{printed}");
     }
-    let told = run(&["--dose", "100", "--detector", "A=68-200", "--detector", "A_noisy=90-200"]);
+    let printed = run(&["--dose", "100", "--detector", "A=68-200", "--detector", "A_noisy=90-200"]);
     assert!(
-        told.contains("A_noisy: is also the name of the noisy image of another detector"),
-        "{told}"
+        printed.contains("A_noisy: is also the name of the noisy image of another detector"),
+        "{printed}"
     );
-    let told = run(&["--focal-spread", "1e308"]);
-    assert!(told.contains("1e308: must be from 0 to") && told.len() < 400, "{told}");
+    let printed = run(&["--focal-spread", "1e308"]);
+    assert!(printed.contains("1e308: must be from 0 to") && printed.len() < 400, "{printed}");
     assert!(!folder.path().join("x.h5").exists());
 }

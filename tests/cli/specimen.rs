@@ -134,8 +134,8 @@ fn bad_requests_write_nothing() {
         (&["-o", "a.xyz", "--grid", "3x3"], "2x2"),
     ];
     for (arguments, part) in cases {
-        let told = fails(tiny(here, "specimen").args(arguments));
-        assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
+        let printed = fails(tiny(here, "specimen").args(arguments));
+        assert!(printed.contains(part), "{arguments:?}: no `{part}` in\n{printed}");
     }
     assert_eq!(std::fs::read(here.join("there.cif")).unwrap(), b"precious");
     assert_eq!(std::fs::read_dir(here).unwrap().count(), 1);

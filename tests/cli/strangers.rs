@@ -63,8 +63,8 @@ fn attributes_of_a_world_are_shown_and_do_nothing() {
         for arguments in [&["info", "w.h5"][..], &["info", "w.h5", "--json"], &["verify", "w.h5"]] {
             let output = stemgen(here).args(arguments).output().unwrap();
             only_shows(&output, &format!("{name}: {arguments:?}"));
-            let told = stdout(&output);
-            shown += usize::from(told.contains("\\u001b[2J"));
+            let printed = stdout(&output);
+            shown += usize::from(printed.contains("\\u001b[2J"));
         }
         let out = format!("card of {name}");
         let card = stemgen(here)
@@ -100,10 +100,10 @@ fn names_in_recorded_files_are_shown_and_do_nothing() {
     only_shows(&run(&["import", "one.dm4", "-o", "v.h5", "--json"]), "import --json");
     only_shows(&run(&["info", "w.h5"]), "info");
     // The list of images in an error may have several lines.
-    let told = stderr(&run(&["import", "two.dm4", "-o", "u.h5"]));
+    let printed = stderr(&run(&["import", "two.dm4", "-o", "u.h5"]));
     assert!(
-        told.contains("plain") && !told.contains('\u{1b}') && !told.contains('\u{202e}'),
-        "{told}"
+        printed.contains("plain") && !printed.contains('\u{1b}') && !printed.contains('\u{202e}'),
+        "{printed}"
     );
     let page = run(&["view", "w.h5", "--html", "-o", "w.html", "--quiet"]);
     assert!(page.status.success(), "{}", stderr(&page));
@@ -125,8 +125,8 @@ fn no_name_of_an_output_runs_in_the_script_of_a_cluster() {
     for name in
         ["a\ntouch ran\n.h5", "a\r\ntouch ran #.h5", "a\u{1b}[2J.h5", "a\u{2028}touch ran.h5"]
     {
-        let told = fails(&mut script(name));
-        assert!(told.contains("no place in a script"), "{told}");
+        let printed = fails(&mut script(name));
+        assert!(printed.contains("no place in a script"), "{printed}");
         only_shows(&script(name).output().unwrap(), name);
     }
     for name in ["a$(touch ran)`touch ran`\";touch ran;\".h5", "a' ; touch ran ; '.h5"] {

@@ -31,14 +31,17 @@ fn tiles_come_with_labels_and_are_those_of_the_world() {
     // 28 x 28 pixels have room for one tile of 16.
     let mut many = stemgen(here);
     many.args(["tiles", "w.h5", "-o", "d.npz", "--size", "16", "-n", "5", "--dry-run"]);
-    let told = stderr(&many.output().unwrap());
-    assert!(told.contains("5 tiles are asked for") && told.contains("has room for 1 of"), "{told}");
+    let printed = stderr(&many.output().unwrap());
+    assert!(
+        printed.contains("5 tiles are asked for") && printed.contains("has room for 1 of"),
+        "{printed}"
+    );
     let plan = json(&mut tiles(here, &[&own[..], &["-o", "p.npz", "--dry-run"]].concat()));
     assert_eq!((&plan["tiles"], &plan["size_px"]), (&6.into(), &16.into()), "{plan}");
     assert!(plan["image"]["estimated_range_s"][1].as_f64().unwrap() > 0.0, "{plan}");
     assert!(!here.join("p.npz").exists());
-    let told = fails(&mut tiles(here, &["w.h5", "-o", "b.h5"]));
-    assert!(told.contains("did you mean b.npz?"), "{told}");
-    let told = fails(tiles(here, &["w.h5", "-o", "c.npz"]).args(["--heat-sigma", "999"]));
-    assert!(told.contains("0.3 to 50 pixels"), "{told}");
+    let printed = fails(&mut tiles(here, &["w.h5", "-o", "b.h5"]));
+    assert!(printed.contains("did you mean b.npz?"), "{printed}");
+    let printed = fails(tiles(here, &["w.h5", "-o", "c.npz"]).args(["--heat-sigma", "999"]));
+    assert!(printed.contains("0.3 to 50 pixels"), "{printed}");
 }

@@ -62,8 +62,11 @@ fn the_suite_runs_without_the_repository() {
     for foreign in ["src=\"http", "href=\"http", "@import", "<script", "NaN"] {
         assert!(!page.contains(foreign), "`{foreign}`");
     }
-    let told = fails(stemgen(folder.path()).arg("validate").args(cases));
-    assert!(told.contains("validation.html: exists") && told.contains("--overwrite"), "{told}");
+    let printed = fails(stemgen(folder.path()).arg("validate").args(cases));
+    assert!(
+        printed.contains("validation.html: exists") && printed.contains("--overwrite"),
+        "{printed}"
+    );
 }
 
 #[test]
@@ -73,10 +76,10 @@ fn cases_are_listed_and_unknown_ones_refused() {
     assert!(stdout(&run).contains("slice-boundaries") && stdout(&run).contains("quick"));
     let listed = json(stemgen(folder.path()).args(["validate", "--list", "--quick"]));
     assert!(listed.as_array().unwrap().iter().all(|c| c["quick"] == true));
-    let told = fails(stemgen(folder.path()).args(["validate", "--case", "nonsense"]));
-    assert!(told.contains("nonsense") && told.contains("kirkland-5-12"), "{told}");
-    let told = fails(stemgen(folder.path()).args(["validate", "--defocus", "10"]));
-    assert!(told.contains("without a reference"), "{told}");
+    let printed = fails(stemgen(folder.path()).args(["validate", "--case", "nonsense"]));
+    assert!(printed.contains("nonsense") && printed.contains("kirkland-5-12"), "{printed}");
+    let printed = fails(stemgen(folder.path()).args(["validate", "--defocus", "10"]));
+    assert!(printed.contains("without a reference"), "{printed}");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 
@@ -178,7 +181,7 @@ fn a_wrong_setting_is_named() {
         let mut command = stemgen(folder.path());
         command.args(["validate", "--reference", "s.h5", "--structure", &structure]);
         command.args(["--overwrite"]).args(more);
-        told_of_a_failure(&mut command)
+        report_of_a_failure(&mut command)
     };
     let (note, numbers) = compared(&["--detector", "ADF=40-90", "--defocus=-60"]);
     let explained = "defocus 60 A in place of -60 A explains the difference: rms 0.00 %";
@@ -202,7 +205,7 @@ fn moved_scan(folder: &Path) {
 }
 
 /// The note and the numbers of a comparison that fails.
-fn told_of_a_failure(command: &mut Command) -> (String, Vec<(String, f64)>) {
+fn report_of_a_failure(command: &mut Command) -> (String, Vec<(String, f64)>) {
     let run = command.arg("--json").output().unwrap();
     assert_eq!(run.status.code(), Some(3), "{}", stderr(&run));
     let report: serde_json::Value = serde_json::from_str(&stdout(&run)).unwrap();
@@ -214,7 +217,7 @@ fn told_of_a_failure(command: &mut Command) -> (String, Vec<(String, f64)>) {
 }
 
 #[test]
-fn a_scan_that_starts_elsewhere_and_a_factor_are_found_and_their_share_is_told() {
+fn a_scan_that_starts_elsewhere_and_a_factor_are_found_and_their_share_is_printed() {
     let folder = tempfile::tempdir().unwrap();
     moved_scan(folder.path());
     let image = stemgen::io::arrays::read(&folder.path().join("moved.h5"), None).unwrap().data;
@@ -229,7 +232,7 @@ fn a_scan_that_starts_elsewhere_and_a_factor_are_found_and_their_share_is_told()
         command
     };
     let wrong = ["--scan-start", "0,0", "--scan-end", "3.905,3.905"];
-    let (note, numbers) = told_of_a_failure(&mut ours("moved.npy", &wrong));
+    let (note, numbers) = report_of_a_failure(&mut ours("moved.npy", &wrong));
     assert!(note.contains("a scan that starts 0.3") && note.contains("explains"), "{note}");
     let (what, left) = numbers.iter().find(|(what, _)| what.contains("simulated")).unwrap();
     // 0.78 % where it was written; the grid moves against the atoms with the scan
@@ -241,7 +244,7 @@ fn a_scan_that_starts_elsewhere_and_a_factor_are_found_and_their_share_is_told()
     assert!(largest(&mut ours("moved.npy", &right)) < 1e-3);
     array_npy(&folder.path().join("bright.npy"), &(image * 1.25));
     let right = ["--scan-start", "0.31,0.2", "--scan-end", "4.215,4.105"];
-    let (note, _) = told_of_a_failure(&mut ours("bright.npy", &right));
+    let (note, _) = report_of_a_failure(&mut ours("bright.npy", &right));
     assert!(note.starts_with("the reference times 0.8000 explains"), "{note}");
 }
 
@@ -309,13 +312,13 @@ fn nothing_is_guessed_and_bad_files_are_named() {
         (&reference("srtio3.xyz"), &[], "expected .npy"),
     ];
     for (image, arguments, expected) in bad {
-        let told = fails(&mut against(f, image, arguments));
-        assert!(told.contains(expected), "{image} {arguments:?}: no `{expected}` in\n{told}");
+        let printed = fails(&mut against(f, image, arguments));
+        assert!(printed.contains(expected), "{image} {arguments:?}: no `{expected}` in\n{printed}");
         let name = Path::new(image).file_name().unwrap().to_str().unwrap();
         let of_the_file = !["--tolerance 0", "2 detectors"].contains(expected);
-        assert!(!of_the_file || told.contains(name), "{name} is not named: {told}");
+        assert!(!of_the_file || printed.contains(name), "{name} is not named: {printed}");
         if expected.contains("index ") && !expected.contains("NaN") {
-            assert!(told.contains("hint: see --index"), "{told}");
+            assert!(printed.contains("hint: see --index"), "{printed}");
         }
     }
     assert!(!f.join("validation.html").exists());

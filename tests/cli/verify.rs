@@ -47,20 +47,20 @@ fn tile(file: &hdf5::File, name: &str, change: impl FnOnce(&mut ndarray::Array2<
 }
 
 #[test]
-fn a_sound_world_and_each_fault_are_told() {
+fn a_sound_world_and_each_fault_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     built(here);
     let output = stemgen(here).args(["verify", "w.h5"]).output().unwrap();
     assert!(output.status.success(), "{}{}", stdout(&output), stderr(&output));
-    let told = stdout(&output);
-    assert!(told.contains("w.h5 is sound") && told.contains("standard errors"), "{told}");
-    assert!(!told.contains("FAULT") && !told.contains("skipped"), "{told}");
+    let printed = stdout(&output);
+    assert!(printed.contains("w.h5 is sound") && printed.contains("standard errors"), "{printed}");
+    assert!(!printed.contains("FAULT") && !printed.contains("skipped"), "{printed}");
 
     // Pixel (0, 13) is shared with the tile to the right.
     damaged(here, |f| tile(f, "tiles/0_1", |t| t[[0, 1]] = 1.0 - t[[0, 1]]));
-    let told = faults(here);
-    assert!(told[0].starts_with("tiles: /tiles/0_1 differs from a neighbour"), "{told:?}");
+    let printed = faults(here);
+    assert!(printed[0].starts_with("tiles: /tiles/0_1 differs from a neighbour"), "{printed:?}");
     damaged(here, |f| tile(f, "tiles/1_1", |t| t[[9, 9]] = -0.5));
     assert!(faults(here)[0].starts_with("tiles: /tiles/1_1 has values from -0.5"));
     damaged(here, |f| tile(f, "tiles/1_1", |t| t[[9, 9]] *= 0.97));
@@ -71,9 +71,12 @@ fn a_sound_world_and_each_fault_are_told() {
         let dose = attribute.read_scalar::<f64>().unwrap();
         attribute.write_scalar(&(2.0 * dose)).unwrap();
     });
-    let told = faults(here);
-    assert!(told[0].starts_with("attributes: `dose_electrons_per_angstrom2`"), "{told:?}");
-    assert!(told[1].starts_with("counts: mean and scatter") && told.len() == 2, "{told:?}");
+    let printed = faults(here);
+    assert!(printed[0].starts_with("attributes: `dose_electrons_per_angstrom2`"), "{printed:?}");
+    assert!(
+        printed[1].starts_with("counts: mean and scatter") && printed.len() == 2,
+        "{printed:?}"
+    );
     damaged(here, |f| {
         let types = f.dataset("ground_truth/atom_types").unwrap();
         let mut values = types.read_1d::<i32>().unwrap();
@@ -85,9 +88,9 @@ fn a_sound_world_and_each_fault_are_told() {
         values[pristine] = true;
         mask.write(&values).unwrap();
     });
-    let told = faults(here);
-    assert!(told[0].contains("has type 1 and the defect type ``"), "{told:?}");
-    assert!(told[1].starts_with("columns: column 0 lists"), "{told:?}");
+    let printed = faults(here);
+    assert!(printed[0].contains("has type 1 and the defect type ``"), "{printed:?}");
+    assert!(printed[1].starts_with("columns: column 0 lists"), "{printed:?}");
     damaged(here, |f| tile(f, "overview", |o| o[[1, 1]] += 0.01));
     assert!(fault(here).starts_with("overview: differs"), "{}", fault(here));
     damaged(here, |f| {
@@ -96,9 +99,9 @@ fn a_sound_world_and_each_fault_are_told() {
         values[[5, 0]] = 90.0;
         positions.write(&values).unwrap();
     });
-    let told = faults(here);
-    assert!(told[0].contains("site 5 lies at x 90"), "{told:?}");
-    assert!(told[1].contains("site 5 lies beside its column"), "{told:?}");
+    let printed = faults(here);
+    assert!(printed[0].contains("site 5 lies at x 90"), "{printed:?}");
+    assert!(printed[1].contains("site 5 lies beside its column"), "{printed:?}");
     damaged(here, |f| tile(f, "overview", |o| o[[1, 1]] = f32::NAN));
     assert!(fault(here).starts_with("overview: differs"), "{}", fault(here));
     damaged(here, |f| {
@@ -116,16 +119,16 @@ fn a_sound_world_and_each_fault_are_told() {
         ("tiles", "scale", 0.0),
     ] {
         damaged(here, |f| attribute(f, group, name, value));
-        let told = fault(here);
+        let printed = fault(here);
         assert!(
-            told.starts_with("schema:") && told.contains(name.split('_').next().unwrap()),
-            "{told}"
+            printed.starts_with("schema:") && printed.contains(name.split('_').next().unwrap()),
+            "{printed}"
         );
     }
 }
 
 #[test]
-fn what_is_no_world_is_told() {
+fn what_is_no_world_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     std::fs::write(here.join("no.h5"), b"text").unwrap();
@@ -156,17 +159,17 @@ fn replaced<T: hdf5::H5Type, D: ndarray::Dimension>(
 }
 
 #[test]
-fn lists_that_contradict_each_other_are_told() {
+fn lists_that_contradict_each_other_are_reported() {
     use hdf5::types::{FixedAscii, VarLenUnicode};
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     built(here);
-    let told = |change: &dyn Fn(&hdf5::File)| {
+    let printed = |change: &dyn Fn(&hdf5::File)| {
         damaged(here, change);
         fault(here)
     };
     for depth in [f32::NAN, 7.0] {
-        let fault = told(&|f| changed(f, "atom_z", 3, depth));
+        let fault = printed(&|f| changed(f, "atom_z", 3, depth));
         assert!(fault.starts_with("sites: site 3 lies at a depth of"), "{fault}");
     }
     let name = FixedAscii::<16>::from_ascii("vacancy_O").unwrap();
@@ -174,50 +177,50 @@ fn lists_that_contradict_each_other_are_told() {
         let types = f.dataset("ground_truth/atom_types").unwrap().read_1d::<i32>().unwrap();
         types.iter().position(|t| *t == 0).unwrap()
     };
-    let fault = told(&|f| changed(f, "defect_types", pristine(f), name));
+    let fault = printed(&|f| changed(f, "defect_types", pristine(f), name));
     assert!(fault.contains("has type 0 and the defect type `vacancy_O`"), "{fault}");
-    let fault = told(&|f| changed(f, "atomic_numbers", pristine(f), 74));
+    let fault = printed(&|f| changed(f, "atomic_numbers", pristine(f), 74));
     assert!(fault.starts_with("columns: column") && fault.contains("its sites hold other atoms"));
-    let fault = told(&|f| {
+    let fault = printed(&|f| {
         let place = f.dataset("ground_truth/columns/position").unwrap();
         let x = place.read_raw::<f32>().unwrap()[4];
         changed(f, "columns/position", 4, x + 0.02);
     });
     assert!(fault.starts_with("columns: column 2 is listed at x"), "{fault}");
     let text = FixedAscii::<32>::from_ascii("W3").unwrap();
-    let fault = told(&|f| changed(f, "columns/composition", 1, text));
+    let fault = printed(&|f| changed(f, "columns/composition", 1, text));
     assert!(fault.starts_with("columns: column 1 is listed as `W3`"), "{fault}");
 
-    let fault = told(&|f| {
+    let fault = printed(&|f| {
         let wide = f.dataset("tiles/1_0").unwrap().read_2d::<f32>().unwrap().mapv(f64::from);
         replaced(f, "tiles/1_0", &wide);
     });
     assert!(fault.contains("/tiles/1_0 holds float64, expected float32"), "{fault}");
-    let fault = told(&|f| {
+    let fault = printed(&|f| {
         let mask = f.dataset("ground_truth/defect_mask").unwrap().read_1d::<bool>().unwrap();
         replaced(f, "ground_truth/defect_mask", &mask.mapv(u8::from));
     });
     assert!(fault.contains("defect_mask holds uint8, expected bool"), "{fault}");
-    let fault = told(&|f| replaced(f, "valid_region", &ndarray::arr2(&[[true, false]])));
+    let fault = printed(&|f| replaced(f, "valid_region", &ndarray::arr2(&[[true, false]])));
     assert!(fault.contains("/valid_region has the shape [1, 2]"), "{fault}");
-    let fault = told(&|f| f.unlink("valid_region").unwrap());
+    let fault = printed(&|f| f.unlink("valid_region").unwrap());
     assert!(fault.contains("has no dataset /valid_region"), "{fault}");
 
-    let fault = told(&|f| f.group("metadata").unwrap().delete_attr("seed").unwrap());
+    let fault = printed(&|f| f.group("metadata").unwrap().delete_attr("seed").unwrap());
     assert!(fault.starts_with("attributes: `seed` is missing"), "{fault}");
-    let fault = told(&|f| {
+    let fault = printed(&|f| {
         let other: VarLenUnicode = "batio3".parse().unwrap();
         let metadata = f.group("metadata").unwrap();
         metadata.delete_attr("material").unwrap();
         metadata.new_attr_builder().with_data(&[other]).create("material").unwrap();
     });
     assert!(fault.starts_with("attributes: `material`"), "{fault}");
-    let fault = told(&|f| {
+    let fault = printed(&|f| {
         let attribute = f.group("metadata").unwrap().attr("origin_px_in_full_field").unwrap();
         attribute.write_raw(&[3i64, 4]).unwrap();
     });
     assert!(fault.starts_with("attributes: `origin_px_in_full_field`"), "{fault}");
-    let fault = told(&|f| {
+    let fault = printed(&|f| {
         f.dataset("overview").unwrap().attr("factor").unwrap().write_scalar(&5u64).unwrap();
     });
     assert!(fault.starts_with("attributes: `factor of /overview`"), "{fault}");

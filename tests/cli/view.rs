@@ -137,8 +137,8 @@ fn bad_requests_are_explained() {
         (&["w.h5", "--html", "-o", "there.png"], "--overwrite"),
     ];
     for (arguments, part) in cases {
-        let told = fails(stemgen(here).arg("view").args(arguments));
-        assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
+        let printed = fails(stemgen(here).arg("view").args(arguments));
+        assert!(printed.contains(part), "{arguments:?}: no `{part}` in\n{printed}");
     }
     assert_eq!(std::fs::read_dir(here).unwrap().count(), 8, "nothing was written");
 }
@@ -194,8 +194,8 @@ fn the_specimen_of_a_recipe_is_drawn() {
     assert!(folder.path().join("srtio3.view.png").exists());
     let run = view(&[&super::file("tests/cli/tiny.toml"), "-o", "t.png"]).status().unwrap();
     assert!(run.success() && folder.path().join("t.png").exists());
-    let told = super::fails(&mut view(&["srtio3", "--difficulty", "easy", "--html"]));
-    assert!(told.contains("build the world for --html"), "{told}");
+    let printed = super::fails(&mut view(&["srtio3", "--difficulty", "easy", "--html"]));
+    assert!(printed.contains("build the world for --html"), "{printed}");
 }
 
 /// What `simulate` and `acquire` write can be looked at, and tells the command that made it.
@@ -227,18 +227,19 @@ fn images_and_recordings_are_drawn_and_described() {
         "--quiet",
     ]);
 
-    let told = run(&["view", "i.h5", "--detector", "BF", "--index", "0", "--size", "128"]);
-    assert!(told.contains("BF, number 0 of 0 to 1, 0.54 x 0.54 nm"), "{told}");
-    let told = run(&["view", "r.h5", "-o", "r.png"]);
-    assert!(told.contains("recording, number 1 of 0 to 1"), "{told}");
+    let printed = run(&["view", "i.h5", "--detector", "BF", "--index", "0", "--size", "128"]);
+    assert!(printed.contains("BF, number 0 of 0 to 1, 0.54 x 0.54 nm"), "{printed}");
+    let printed = run(&["view", "r.h5", "-o", "r.png"]);
+    assert!(printed.contains("recording, number 1 of 0 to 1"), "{printed}");
     run(&["view", "r.h5", "--clean", "-o", "c.png"]);
     let bytes = |name: &str| std::fs::read(here.join(name)).unwrap();
     assert!(bytes("i.view.png").starts_with(b"\x89PNG") && bytes("r.png") != bytes("c.png"));
 
-    let told = run(&["info", "i.h5", "r.h5"]);
-    assert!(told.contains("ADF, BF") && told.contains("stemgen acquire w.h5"), "{told}");
-    let told: serde_json::Value = serde_json::from_str(&run(&["info", "r.h5", "--json"])).unwrap();
-    assert_eq!(told["images"][0]["kind"], "recording");
+    let printed = run(&["info", "i.h5", "r.h5"]);
+    assert!(printed.contains("ADF, BF") && printed.contains("stemgen acquire w.h5"), "{printed}");
+    let printed: serde_json::Value =
+        serde_json::from_str(&run(&["info", "r.h5", "--json"])).unwrap();
+    assert_eq!(printed["images"][0]["kind"], "recording");
 
     for (arguments, fault) in [
         (&["view", "i.h5", "--detector", "HAADF", "-o", "f.png"][..], "contains ADF, BF"),
@@ -251,8 +252,8 @@ fn images_and_recordings_are_drawn_and_described() {
         (&["view", "w.h5", "--index", "0", "-o", "f.png"], "a world is one image"),
         (&["view", "i.h5", "-o", "i.h5", "--overwrite"], "i.h5"),
     ] {
-        let told = fails(stemgen(here).args(arguments));
-        assert!(told.contains(fault), "{arguments:?}: {told}");
+        let printed = fails(stemgen(here).args(arguments));
+        assert!(printed.contains(fault), "{arguments:?}: {printed}");
         assert!(!here.join("f.png").exists());
     }
 }

@@ -88,9 +88,9 @@ pub fn meets(command: &Command, point: Point, what: &str) -> Output {
         ("signal", signal) => log.contains(&format!("--- {signal} ")),
         _ => log.contains("(INJECTED)"),
     };
-    let told = String::from_utf8_lossy(&output.stderr);
+    let printed = String::from_utf8_lossy(&output.stderr);
 
-    assert!(struck, "{what} did not meet {point:?}: {:?} {told}\n{log}", output.status);
+    assert!(struck, "{what} did not meet {point:?}: {:?} {printed}\n{log}", output.status);
     output
 }
 
@@ -122,8 +122,11 @@ impl Held {
             }
             if strace.try_wait().unwrap().is_some() {
                 let ended = strace.wait_with_output().unwrap();
-                let told = String::from_utf8_lossy(&ended.stderr);
-                panic!("the program did not come to {point:?}: {:?} {told}\n{text}", ended.status);
+                let printed = String::from_utf8_lossy(&ended.stderr);
+                panic!(
+                    "the program did not come to {point:?}: {:?} {printed}\n{text}",
+                    ended.status
+                );
             }
             std::thread::sleep(Duration::from_millis(1));
         }

@@ -51,8 +51,8 @@ fn builds_and_their_locks_outlive_a_clock_that_jumps() {
         let held = Held::at(&first, subtile(2 * number));
         std::fs::write(&clock, jump).unwrap();
         if number == 0 {
-            let told = fails(&mut second);
-            assert!(told.contains("is being written by process"), "{told}");
+            let printed = fails(&mut second);
+            assert!(printed.contains("is being written by process"), "{printed}");
         }
         let ended = held.go_on();
         assert!(ended.status.success(), "{jump}: {}", stderr(&ended));

@@ -50,10 +50,10 @@ fn damaged_images_of_the_cache_are_made_again() {
     assert!(library_cells.len() >= 12, "{library_cells:?}");
     let whole: Vec<Vec<u8>> = library_cells.iter().map(|s| fs::read(s).unwrap()).collect();
     damage(&library_cells);
-    let told = succeeds(build(here, Method::Library).arg("--overwrite"));
-    assert_eq!(told.matches("; simulated again").count(), library_cells.len(), "{told}");
+    let printed = succeeds(build(here, Method::Library).arg("--overwrite"));
+    assert_eq!(printed.matches("; simulated again").count(), library_cells.len(), "{printed}");
     for why in ["is damaged", "is cut off", "holds another image", "is no array of this program"] {
-        assert!(told.contains(why), "no `{why}` in {told}");
+        assert!(printed.contains(why), "no `{why}` in {printed}");
     }
     assert_done(here, Method::Library, "damaged cache");
     let after: Vec<Vec<u8>> = library_cells.iter().map(|s| fs::read(s).unwrap()).collect();
@@ -71,8 +71,8 @@ fn damaged_sub_tiles_are_made_again() {
     let tiles = with_ending(&here.join("w.h5.work"), "bin");
     assert_eq!(tiles.len(), 7, "{tiles:?}");
     damage(&tiles);
-    let told = succeeds(&mut build(here, Method::Subtiles));
-    assert_eq!(told.matches("; simulated again").count(), tiles.len(), "{told}");
+    let printed = succeeds(&mut build(here, Method::Subtiles));
+    assert_eq!(printed.matches("; simulated again").count(), tiles.len(), "{printed}");
     assert_done(here, Method::Subtiles, "damaged sub-tiles");
 }
 
@@ -94,8 +94,8 @@ fn a_damaged_key_is_made_again_and_its_sub_tiles_are_used() {
         }
         let mut again = build(here, Method::Subtiles);
         let output = again.arg("--json").stdout(std::process::Stdio::piped()).output().unwrap();
-        let told = stderr(&output);
-        assert!(output.status.success() && told.contains("key.json: is damaged"), "{told}");
+        let printed = stderr(&output);
+        assert!(output.status.success() && printed.contains("key.json: is damaged"), "{printed}");
         let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(summary["subtiles_resumed"], 4, "{text:?}: {summary}");
         assert_done(here, Method::Subtiles, "damaged key");
@@ -117,10 +117,10 @@ fn a_folder_in_place_of_a_sub_tile_makes_room() {
         fs::create_dir(&place).unwrap();
         inside.iter().for_each(|inside| fs::write(place.join(inside), "a text").unwrap());
     }
-    let told = succeeds(&mut build(here, Method::Subtiles));
+    let printed = succeeds(&mut build(here, Method::Subtiles));
     for name in ["subtile_000001.bin", "subtile_000006.bin"] {
         let said = format!("{name}: is no regular file; simulated again");
-        assert!(told.contains(&said), "no `{said}` in {told}");
+        assert!(printed.contains(&said), "no `{said}` in {printed}");
     }
     // What somebody had put there is not lost.
     let aside = work.join("subtile_000006.bin.aside");
@@ -156,8 +156,8 @@ fn audits_and_libraries_are_kept_in_the_work_folder() {
     let [audit] = &with_ending(&here.join("w.h5.work/audits"), "audit")[..] else { panic!() };
     let text = fs::read_to_string(audit).unwrap();
     fs::write(audit, text.replacen("bright_rms_percent\":", "bright_rms_percent\":1", 1)).unwrap();
-    let told = succeeds(&mut build(here, Method::NoCache));
-    assert!(told.contains("is damaged; audited again"), "{told}");
+    let printed = succeeds(&mut build(here, Method::NoCache));
+    assert!(printed.contains("is damaged; audited again"), "{printed}");
     assert_done(here, Method::NoCache, "damaged audit");
 }
 
@@ -185,14 +185,14 @@ fn a_world_without_its_picture_is_finished() {
 }
 
 #[test]
-fn a_cache_that_cannot_be_written_is_told_once() {
+fn a_cache_that_cannot_be_written_is_reported_once() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     fs::write(here.join("file"), "").unwrap();
     let mut command = build(here, Method::Library);
-    let told = succeeds(command.env("STEMGEN_CACHE", here.join("file/cache")));
-    assert_eq!(told.matches("were not kept for later builds").count(), 1, "{told}");
-    assert_eq!(told.matches("file/cache").count(), 1, "{told}");
+    let printed = succeeds(command.env("STEMGEN_CACHE", here.join("file/cache")));
+    assert_eq!(printed.matches("were not kept for later builds").count(), 1, "{printed}");
+    assert_eq!(printed.matches("file/cache").count(), 1, "{printed}");
     fs::remove_file(here.join("file")).unwrap();
     assert_done(here, Method::Library, "no cache");
 }
@@ -232,9 +232,12 @@ fn a_folder_deleted_under_a_build_is_an_error_and_no_more() {
         let held = Held::at(&build(&place, Method::Library), FIRST_IMAGE);
         fs::remove_dir_all(place.join(target)).unwrap();
         let ended = held.go_on();
-        let told = stderr(&ended);
-        assert_eq!(ended.status.code(), Some(code), "{target}: {told}");
-        assert!(!told.contains("panicked") && (code == 0 || told.contains("error: ")), "{told}");
+        let printed = stderr(&ended);
+        assert_eq!(ended.status.code(), Some(code), "{target}: {printed}");
+        assert!(
+            !printed.contains("panicked") && (code == 0 || printed.contains("error: ")),
+            "{printed}"
+        );
         if code != 0 {
             fs::create_dir_all(&place).unwrap();
             succeeds(&mut build(&place, Method::Library));
@@ -272,8 +275,8 @@ fn files_of_others_beside_the_output_stay() {
     let here = folder.path();
     for name in ["w.h5.partial", "w.png.partial", "w.h5.lock"] {
         fs::write(here.join(name), "precious").unwrap();
-        let told = fails(&mut build(here, Method::Subtiles));
-        assert!(told.contains(name), "{told}");
+        let printed = fails(&mut build(here, Method::Subtiles));
+        assert!(printed.contains(name), "{printed}");
         assert_eq!(fs::read(here.join(name)).unwrap(), b"precious");
         assert_eq!(names(here).len(), 1, "{:?}", names(here));
         fs::remove_file(here.join(name)).unwrap();
@@ -292,7 +295,7 @@ fn nothing_is_left_beside_a_whole_world() {
     succeeds(&mut build(here, Method::Library));
     fs::create_dir(here.join("w.h5.work")).unwrap();
     fs::write(here.join("w.h5.lock"), "process 1\n").unwrap();
-    let told = fails(&mut build(here, Method::Library));
-    assert!(told.contains("w.h5: exists"), "{told}");
+    let printed = fails(&mut build(here, Method::Library));
+    assert!(printed.contains("w.h5: exists"), "{printed}");
     assert_done(here, Method::Library, "leftovers");
 }

@@ -94,8 +94,8 @@ fn what_is_written_was_counted() {
 /// 150 kB hold a world of 70 kB, but not its picture and the sub-tiles.
 fn too_small(place: &Path) {
     disk(place, 150);
-    let told = fails(&mut build(place, Method::Subtiles));
-    assert!(told.contains("are needed and") && told.contains("are free"), "{told}");
+    let printed = fails(&mut build(place, Method::Subtiles));
+    assert!(printed.contains("are needed and") && printed.contains("are free"), "{printed}");
     assert_eq!(names(place).len(), 0, "{:?}", names(place));
 }
 
@@ -106,13 +106,16 @@ fn filled_meanwhile(place: &Path, below: &str) {
     let held = Held::at(&build(place, Method::Subtiles), subtile(0));
     let filler = fill(&place.join(below));
     let ended = held.go_on();
-    let told = stderr(&ended);
-    assert_eq!(ended.status.code(), Some(1), "{below}: {told}");
-    assert!(told.contains("No space left") && told.contains("w.h5.work keeps"), "{below}: {told}");
-    assert!(!told.contains("panicked") && !names(place).contains("w.h5"), "{below}: {told}");
+    let printed = stderr(&ended);
+    assert_eq!(ended.status.code(), Some(1), "{below}: {printed}");
+    assert!(
+        printed.contains("No space left") && printed.contains("w.h5.work keeps"),
+        "{below}: {printed}"
+    );
+    assert!(!printed.contains("panicked") && !names(place).contains("w.h5"), "{below}: {printed}");
     fs::remove_file(filler).unwrap();
-    let told = succeeds(&mut build(place, Method::Subtiles));
-    assert!(!told.contains("simulated again"), "{below}: {told}");
+    let printed = succeeds(&mut build(place, Method::Subtiles));
+    assert!(!printed.contains("simulated again"), "{below}: {printed}");
     let mount = Command::new("umount").arg("-l").arg(place.join(below)).status();
     if below.is_empty() {
         return;
@@ -128,9 +131,9 @@ fn full_cache(place: &Path) {
     let held = Held::at(&build(place, Method::Library), FIRST_IMAGE);
     fill(&place.join("cache"));
     let ended = held.go_on();
-    let told = stderr(&ended);
-    assert!(ended.status.success(), "{told}");
-    assert_eq!(told.matches("were not kept for later builds").count(), 1, "{told}");
+    let printed = stderr(&ended);
+    assert!(ended.status.success(), "{printed}");
+    assert_eq!(printed.matches("were not kept for later builds").count(), 1, "{printed}");
     assert_done(place, Method::Library, "full cache");
     assert!(!files(&place.join("cache")).is_empty());
 }
@@ -147,8 +150,11 @@ fn files_that_may_not_grow() {
         let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$@\"");
         command.args(["-c", &script, "sh"]).arg(plain.get_program()).args(plain.get_args());
         command.current_dir(here).env("STEMGEN_CACHE", here.join("cache"));
-        let told = fails(command.stdout(std::process::Stdio::null()));
-        assert!(told.contains("File too large") || told.contains("HDF5"), "{blocks}: {told}");
+        let printed = fails(command.stdout(std::process::Stdio::null()));
+        assert!(
+            printed.contains("File too large") || printed.contains("HDF5"),
+            "{blocks}: {printed}"
+        );
     }
     succeeds(&mut build(here, Method::Subtiles));
     assert_done(here, Method::Subtiles, "limits");

@@ -73,14 +73,14 @@ fn copy_into(from: &Path, to: &Path) {
 
 /// What a run was that met a signal: killed, or asked to end, which a program may hear when nothing is left to do.
 fn assert_ended(ended: &Output, signal: &str, what: &str) {
-    let told = stderr(ended);
-    assert!(!told.contains("panicked"), "{what}: {told}");
+    let printed = stderr(ended);
+    assert!(!printed.contains("panicked"), "{what}: {printed}");
     match signal {
-        "SIGKILL" => assert_eq!(ended.status.signal(), Some(9), "{what}: {told}"),
+        "SIGKILL" => assert_eq!(ended.status.signal(), Some(9), "{what}: {printed}"),
         _ if ended.status.success() => {}
         _ => {
-            assert_eq!(ended.status.code(), Some(143), "{what}: {told}");
-            assert!(told.contains("interrupted"), "{what}: {told}");
+            assert_eq!(ended.status.code(), Some(143), "{what}: {printed}");
+            assert!(printed.contains("interrupted"), "{what}: {printed}");
         }
     }
 }
@@ -115,8 +115,8 @@ fn finish(folder: &Path, method: Method, what: &str) {
         succeeds(&mut build(folder, method));
     } else if ["w.h5.work", "w.h5.lock"].iter().any(|name| left.contains(*name)) {
         // Ended while it removed them.
-        let told = fails(&mut build(folder, method));
-        assert!(told.contains("w.h5: exists"), "{what}: {told}");
+        let printed = fails(&mut build(folder, method));
+        assert!(printed.contains("w.h5: exists"), "{what}: {printed}");
     }
     assert_done(folder, method, what);
 }
@@ -240,11 +240,11 @@ fn send(child: &Child, signal: &str) {
 
 /// How a program ended that a signal may have met before it listened, at work, or not at all.
 fn assert_ended_somehow(ended: &Output, signal: i32, what: &str) {
-    let told = stderr(ended);
+    let printed = stderr(ended);
     let status = ended.status;
     let in_order =
         status.success() || status.signal() == Some(signal) || status.code() == Some(143);
-    assert!(in_order && !told.contains("panicked"), "{what}: {status:?} {told}");
+    assert!(in_order && !printed.contains("panicked"), "{what}: {status:?} {printed}");
 }
 
 /// `cargo test --release -p stemgen-cli --test faults kills::many -- --ignored --nocapture`

@@ -98,18 +98,18 @@ fn stderr(output: &Output) -> String {
 /// Runs a command that has to succeed; returns what it says on standard error.
 fn succeeds(command: &mut Command) -> String {
     let output = command.output().unwrap();
-    let told = stderr(&output);
-    assert!(output.status.success(), "{command:?}: {:?} {told}", output.status);
-    told
+    let printed = stderr(&output);
+    assert!(output.status.success(), "{command:?}: {:?} {printed}", output.status);
+    printed
 }
 
 /// Runs a command that has to fail with an error, without a panic; returns what it says.
 fn fails(command: &mut Command) -> String {
     let output = command.output().unwrap();
-    let told = stderr(&output);
-    assert_eq!(output.status.code(), Some(1), "{command:?}: {told}");
-    assert!(told.contains("error: ") && !told.contains("panicked"), "{told}");
-    told
+    let printed = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{command:?}: {printed}");
+    assert!(printed.contains("error: ") && !printed.contains("panicked"), "{printed}");
+    printed
 }
 
 fn results(folder: &Path) -> [Vec<u8>; 2] {

@@ -21,9 +21,9 @@ fn dry_runs_of_wide_cells_take_little() {
     // 2000 A wide: waves of 19 GB
     let arguments = ["simulate", SILICON, "--repeat", "368,368,1", "--dry-run", "--threads", "2"];
     let ended = limited(folder.path(), 2_000_000, &arguments);
-    let told = String::from_utf8_lossy(&ended.stdout).into_owned();
+    let printed = String::from_utf8_lossy(&ended.stdout).into_owned();
     assert!(ended.status.success(), "{:?} {}", ended.status, stderr(&ended));
-    assert!(told.contains("of memory are needed"), "{told}");
+    assert!(printed.contains("of memory are needed"), "{printed}");
 }
 
 #[test]
@@ -32,22 +32,25 @@ fn what_does_not_fit_is_refused_unless_forced() {
     let here = folder.path();
     let wide = ["simulate", SILICON, "--repeat", "100,100,1", "--scan-points", "2,2"];
     let ended = limited(here, 2_000_000, &[&wide[..], &["--threads", "2"]].concat());
-    let told = stderr(&ended);
-    assert_eq!(ended.status.code(), Some(1), "{told}");
+    let printed = stderr(&ended);
+    assert_eq!(ended.status.code(), Some(1), "{printed}");
     for part in ["of memory are needed", "are free", "windows", "--force"] {
-        assert!(told.contains(part), "no `{part}` in {told}");
+        assert!(printed.contains(part), "no `{part}` in {printed}");
     }
     let world = ["build", "srtio3", "--difficulty", "easy", "--grid", "1x1", "-o", "w.h5"];
     let exact = ["--engine", "multislice", "--subtile", "8", "--threads", "2"];
     let ended = limited(here, 500_000, &[&world[..], &exact].concat());
-    let told = stderr(&ended);
-    assert_eq!(ended.status.code(), Some(1), "{told}");
-    assert!(told.contains("of memory are needed") && told.contains("--force"), "{told}");
+    let printed = stderr(&ended);
+    assert_eq!(ended.status.code(), Some(1), "{printed}");
+    assert!(printed.contains("of memory are needed") && printed.contains("--force"), "{printed}");
     let audit = ["audit", "srtio3", "--difficulty", "easy", "--size", "12", "--threads", "2"];
     let ended = limited(here, 500_000, &audit);
-    let told = stderr(&ended);
-    assert_eq!(ended.status.code(), Some(1), "{told}");
-    assert!(told.contains("that the audit compares with") && told.contains("--force"), "{told}");
+    let printed = stderr(&ended);
+    assert_eq!(ended.status.code(), Some(1), "{printed}");
+    assert!(
+        printed.contains("that the audit compares with") && printed.contains("--force"),
+        "{printed}"
+    );
     assert!(names(here).is_empty(), "{:?}", names(here));
     // What is estimated to take more than there is goes on, and may well fit.
     let small =

@@ -105,11 +105,11 @@ fn any_output_is_refused_or_written_and_nothing_else_is_touched() {
                 command.arg("--overwrite");
             }
             let ended = command.output().unwrap();
-            let told = super::stderr(&ended);
+            let printed = super::stderr(&ended);
             let code = ended.status.code();
             prop_assert!(
-                matches!(code, Some(0..=2)) && !told.contains("panicked"),
-                "{output:?}: {told}"
+                matches!(code, Some(0..=2)) && !printed.contains("panicked"),
+                "{output:?}: {printed}"
             );
             let after = snapshot(folder.path());
             let target = here.join(&output);
@@ -127,7 +127,7 @@ fn any_output_is_refused_or_written_and_nothing_else_is_touched() {
                 let other = changed.iter().find(|p| p.canonicalize().ok() != Some(real.clone()));
                 prop_assert!(other.is_none(), "{output:?}: {other:?}");
             } else {
-                prop_assert!(changed.is_empty(), "{output:?}: {changed:?} {told}");
+                prop_assert!(changed.is_empty(), "{output:?}: {changed:?} {printed}");
             }
             Ok(())
         })

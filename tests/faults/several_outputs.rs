@@ -64,8 +64,8 @@ fn a_build_that_is_killed_before_its_last_file_is_finished_by_the_same_command()
         "{left:?}"
     );
     let world = std::fs::read(here.join("w.h5")).unwrap();
-    let told = fails(&mut build(&["--seed", "2"]));
-    assert!(told.contains("exists"), "{told}");
+    let printed = fails(&mut build(&["--seed", "2"]));
+    assert!(printed.contains("exists"), "{printed}");
     succeeds(&mut build(&[]));
     assert!(std::fs::read(here.join("w.h5")).unwrap() == world, "the world was made again");
     let signals = hdf5::File::open(here.join("w.hspy")).unwrap();
@@ -101,11 +101,11 @@ fn a_kill_between_two_files_is_made_good_by_the_same_command() {
         assert!(left.contains(first) && !left.contains(second), "{left:?}");
         // Another command replaces nothing.
         let before = std::fs::read(here.join(first)).unwrap();
-        let told = fails(command(here, &pair).args(["--seed", "2"]));
-        assert!(told.contains("exists"), "{told}");
+        let printed = fails(command(here, &pair).args(["--seed", "2"]));
+        assert!(printed.contains("exists"), "{printed}");
         assert!(std::fs::read(here.join(first)).unwrap() == before);
-        let told = succeeds(&mut command(here, &pair));
-        assert!(told.contains("ended before all its files were written"), "{told}");
+        let printed = succeeds(&mut command(here, &pair));
+        assert!(printed.contains("ended before all its files were written"), "{printed}");
         assert!(pair.files.iter().all(|name| is_whole(&here.join(name))), "{first}");
         assert!(names(here).iter().all(|name| !name.ends_with(".unfinished")), "{first}");
         // And now it is done.

@@ -34,9 +34,9 @@ fn every_signal_ends_a_program_that_plans() {
         let mut plan = stemgen(here);
         plan.args(["build", "own.toml", "-o", "w.h5", "--dry-run"]);
         let ended = meets(&plan, READS_RECIPE, &format!("signal={signal}"));
-        let told = stderr(&ended);
-        assert_eq!(ended.status.code(), Some(128 + number), "{signal}: {told}");
-        assert!(told.contains("error: interrupted"), "{told}");
+        let printed = stderr(&ended);
+        assert_eq!(ended.status.code(), Some(128 + number), "{signal}: {printed}");
+        assert!(printed.contains("error: interrupted"), "{printed}");
     }
     assert_eq!(std::fs::read_dir(here).unwrap().count(), 1, "the recipe alone");
 }
@@ -66,8 +66,8 @@ fn the_hint_names_what_is_there() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let ended = meets(&build(here, Method::NoCache), FIRST_IMAGE, "signal=SIGTERM");
-    let told = stderr(&ended);
-    assert_eq!(ended.status.code(), Some(143), "{told}");
-    assert!(told.contains("finished work"), "{told}");
+    let printed = stderr(&ended);
+    assert_eq!(ended.status.code(), Some(143), "{printed}");
+    assert!(printed.contains("finished work"), "{printed}");
     assert_eq!(files(&here.join("w.h5.work/library")).len(), 1, "the library is kept");
 }

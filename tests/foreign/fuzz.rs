@@ -59,8 +59,8 @@ fn campaign(name: &'static str) {
         if run.status.success() && at == first + count {
             break;
         }
-        let told = String::from_utf8_lossy(&run.stderr);
-        let told: Vec<&str> = told.lines().filter(|l| !l.trim().is_empty()).take(4).collect();
+        let printed = String::from_utf8_lossy(&run.stderr);
+        let printed: Vec<&str> = printed.lines().filter(|l| !l.trim().is_empty()).take(4).collect();
         let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{at}"));
         std::fs::write(&kept, target.input(at)).unwrap();
         next = at + 1;
@@ -70,7 +70,7 @@ fn campaign(name: &'static str) {
             deaths += 1;
             continue;
         }
-        findings.push(format!("{}: {} {}", kept.display(), run.status, told.join(" | ")));
+        findings.push(format!("{}: {} {}", kept.display(), run.status, printed.join(" | ")));
     }
     println!(
         "{name}: {count} executions from {first}, {accepted} accepted, the library died of {deaths}, {} findings",
@@ -139,15 +139,15 @@ fn watchdog() {
 
 /// Processor time of this process where the system tells it.
 fn process_seconds() -> f64 {
-    let told = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let printed = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // Behind the name in parentheses; times are in hundredths of a second.
     let fields: Vec<&str> =
-        told.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+        printed.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
     [11, 12].iter().filter_map(|i| fields.get(*i)?.parse::<f64>().ok()).sum::<f64>() / 100.0
 }
 
 /// Processor time of this thread where the system tells it.
 pub fn processor_seconds() -> f64 {
-    let told = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-    told.split(' ').next().and_then(|ns| ns.parse::<f64>().ok()).unwrap_or(0.0) / 1e9
+    let printed = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+    printed.split(' ').next().and_then(|ns| ns.parse::<f64>().ok()).unwrap_or(0.0) / 1e9
 }

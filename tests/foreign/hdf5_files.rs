@@ -205,9 +205,9 @@ fn refused(change: impl FnOnce(&File)) -> String {
     let file = world(&path);
     change(&file);
     file.close().unwrap();
-    let told = read_world(&path).unwrap_err().to_string();
-    assert!(told.contains("w.h5"), "no file in: {told}");
-    told
+    let printed = read_world(&path).unwrap_err().to_string();
+    assert!(printed.contains("w.h5"), "no file in: {printed}");
+    printed
 }
 
 /// Puts an empty dataset of this shape in the place of another. Its chunks were never written.
@@ -231,16 +231,16 @@ fn the_small_world_is_read() {
 
 #[test]
 fn lists_of_odd_shapes_are_refused() {
-    let told = refused(|f| announce(f, "ground_truth/grain_boundaries/0", [5, 1]));
-    assert!(told.contains("shape [5, 1]"), "{told}");
-    let told = refused(|f| announce(f, "ground_truth/particles/centre", [1, 2]));
-    assert!(told.contains("lists of particles"), "{told}");
-    let told = refused(|f| announce(f, "ground_truth/columns/position", [4, 2]));
-    assert!(told.contains("lists of columns"), "{told}");
-    let told = refused(|f| announce(f, "ground_truth/atomic_numbers", [3, 1]));
-    assert!(told.contains("atomic_numbers"), "{told}");
-    let told = refused(|f| announce(f, "overview", [3, 3]));
-    assert!(told.contains("overview"), "{told}");
+    let printed = refused(|f| announce(f, "ground_truth/grain_boundaries/0", [5, 1]));
+    assert!(printed.contains("shape [5, 1]"), "{printed}");
+    let printed = refused(|f| announce(f, "ground_truth/particles/centre", [1, 2]));
+    assert!(printed.contains("lists of particles"), "{printed}");
+    let printed = refused(|f| announce(f, "ground_truth/columns/position", [4, 2]));
+    assert!(printed.contains("lists of columns"), "{printed}");
+    let printed = refused(|f| announce(f, "ground_truth/atomic_numbers", [3, 1]));
+    assert!(printed.contains("atomic_numbers"), "{printed}");
+    let printed = refused(|f| announce(f, "overview", [3, 3]));
+    assert!(printed.contains("overview"), "{printed}");
 }
 
 #[test]
@@ -248,19 +248,22 @@ fn what_is_announced_is_held_against_the_size_of_the_file() {
     for name in ["ground_truth/columns/position", "ground_truth/atom_positions"] {
         // 2^62 columns, and 75 kB that ask for 9.6 GB
         for rows in [1 << 61, 1_200_000_000] {
-            let told = refused(|f| announce(f, name, [rows, 2]));
-            assert!(told.contains("announces") && told.contains("at most 268435456"), "{told}");
+            let printed = refused(|f| announce(f, name, [rows, 2]));
+            assert!(
+                printed.contains("announces") && printed.contains("at most 268435456"),
+                "{printed}"
+            );
         }
     }
     let huge = |f: &File| set(&f.group("metadata").unwrap(), "tile_size_px", 999_999_999.0);
     assert!(refused(huge).contains("tile_size_px = 999999999"));
-    let told = refused(|f| {
+    let printed = refused(|f| {
         huge(f);
         announce(f, "tiles/0_0", [999_999_999; 2]);
     });
-    assert!(told.contains("at most 268435456"), "{told}");
+    assert!(printed.contains("at most 268435456"), "{printed}");
     // One tile under many names is still a large image.
-    let told = refused(|f| {
+    let printed = refused(|f| {
         set(&f.group("metadata").unwrap(), "tile_size_px", 2048.0);
         let grid = f.group("metadata").unwrap();
         grid.delete_attr("grid_shape").unwrap();
@@ -273,7 +276,7 @@ fn what_is_announced_is_held_against_the_size_of_the_file() {
             f.link_hard("tiles/0_0", &format!("tiles/{}_{}", i / 10, i % 10)).unwrap();
         }
     });
-    assert!(told.contains("[20480, 20480]"), "{told}");
+    assert!(printed.contains("[20480, 20480]"), "{printed}");
 }
 
 #[test]
@@ -281,13 +284,13 @@ fn places_must_be_finite_and_near() {
     for far in [f32::INFINITY, f32::NAN, 1e30] {
         for name in ["columns/position", "atom_positions", "grain_boundaries/0", "particles/centre"]
         {
-            let told = refused(|f| {
+            let printed = refused(|f| {
                 let places = f.dataset(&format!("ground_truth/{name}")).unwrap();
                 let mut values: Array2<f32> = places.read_2d().unwrap();
                 values[(0, 1)] = far;
                 places.write(&values).unwrap();
             });
-            assert!(told.contains("expected up to 10000000 nm"), "{name}: {told}");
+            assert!(printed.contains("expected up to 10000000 nm"), "{name}: {printed}");
         }
     }
 }
@@ -309,15 +312,15 @@ fn attributes_of_a_world_are_held_against_each_other() {
         ("grid_shape", 2.0, "grid_shape"),
         ("fov_nm", 2.0, "fov_nm"),
     ] {
-        let told = with(name, value);
-        assert!(told.contains(part), "{name} = {value}: {told}");
+        let printed = with(name, value);
+        assert!(printed.contains(part), "{name} = {value}: {printed}");
     }
-    let told = refused(|f| {
+    let printed = refused(|f| {
         let tiles = f.group("tiles").unwrap();
         set(&tiles, "scale", f64::INFINITY);
         set(&tiles, "offset", 0.0);
     });
-    assert!(told.contains("scale or offset"), "{told}");
+    assert!(printed.contains("scale or offset"), "{printed}");
 }
 
 #[test]
@@ -333,23 +336,23 @@ fn a_world_takes_nothing_from_other_files() {
         })
     };
     for name in ["tiles", "tiles/0_1", "overview", "ground_truth", "metadata"] {
-        let told = inside(name);
-        assert!(told.contains("link to another file") && told.contains(name), "{told}");
+        let printed = inside(name);
+        assert!(printed.contains("link to another file") && printed.contains(name), "{printed}");
     }
     // a soft link that leaves through an external one
-    let told = refused(|f| {
+    let printed = refused(|f| {
         f.unlink("tiles").unwrap();
         f.link_external(secret, "/", "other").unwrap();
         f.link_soft("/other/tiles", "tiles").unwrap();
     });
-    assert!(told.contains("link to another file, /other"), "{told}");
-    let told = refused(|f| {
+    assert!(printed.contains("link to another file, /other"), "{printed}");
+    let printed = refused(|f| {
         f.unlink("tiles/0_0").unwrap();
         let tile = f.new_dataset::<f32>().shape((TILE, TILE));
         tile.external("/etc/passwd", 0, 4 * TILE * TILE).create("tiles/0_0").unwrap();
     });
-    assert!(told.contains("/tiles/0_0 refers to values in another file"), "{told}");
-    let told = refused(|f| {
+    assert!(printed.contains("/tiles/0_0 refers to values in another file"), "{printed}");
+    let printed = refused(|f| {
         f.unlink("tiles/0_0").unwrap();
         let tile = f.new_dataset::<f32>().shape((TILE, TILE));
         let all = || (0..TILE, 0..TILE);
@@ -358,7 +361,7 @@ fn a_world_takes_nothing_from_other_files() {
             .create("tiles/0_0")
             .unwrap();
     });
-    assert!(told.contains("/tiles/0_0 refers to values in another file"), "{told}");
+    assert!(printed.contains("/tiles/0_0 refers to values in another file"), "{printed}");
 }
 
 /// The error of a reference that `make` makes.
@@ -387,27 +390,27 @@ fn groups_of_a_reference_may_form_circles_but_no_abyss() {
     let array = arrays::read(&path, None).unwrap();
     assert_eq!((array.name.as_str(), array.data.shape()), ("/a/b/c/image", &[4, 4][..]));
 
-    let told = refused_reference(|f| {
+    let printed = refused_reference(|f| {
         let mut group = f.create_group("g").unwrap();
         for _ in 0..20_000 {
             group = group.create_group("g").unwrap();
         }
     });
-    assert!(told.contains("more than 64 deep"), "{told}");
+    assert!(printed.contains("more than 64 deep"), "{printed}");
 }
 
 #[test]
 fn a_reference_takes_nothing_from_other_files() {
-    let told = refused_reference(|f| f.link_external("/etc/passwd", "/", "other").unwrap());
-    assert!(told.contains("link to another file, /other"), "{told}");
-    let told = refused_reference(|f| {
+    let printed = refused_reference(|f| f.link_external("/etc/passwd", "/", "other").unwrap());
+    assert!(printed.contains("link to another file, /other"), "{printed}");
+    let printed = refused_reference(|f| {
         f.unlink("image").unwrap();
         let image = f.new_dataset::<u8>().shape((16, 16));
         image.external("/etc/passwd", 0, 256).create("image").unwrap();
     });
-    assert!(told.contains("another file"), "{told}");
-    let told = refused_reference(|f| announce(f, "image", [1 << 30, 1 << 30]));
-    assert!(told.contains("at most 268435456"), "{told}");
+    assert!(printed.contains("another file"), "{printed}");
+    let printed = refused_reference(|f| announce(f, "image", [1 << 30, 1 << 30]));
+    assert!(printed.contains("at most 268435456"), "{printed}");
 }
 
 #[cfg(unix)]
@@ -418,11 +421,11 @@ fn pipes_are_not_waited_for() {
         let path = folder.path().join(name);
         let made = std::process::Command::new("mkfifo").arg(&path).status().unwrap();
         assert!(made.success());
-        let told = match name {
+        let printed = match name {
             "w.h5" => read_world(&path).unwrap_err().to_string(),
             _ => arrays::read(&path, None).unwrap_err().to_string(),
         };
-        assert!(told.contains("no regular file"), "{told}");
+        assert!(printed.contains("no regular file"), "{printed}");
     }
 }
 
@@ -467,34 +470,34 @@ fn chunks_unpack_to_their_size_or_not_at_all() {
     let whole = 4 * TILE * TILE;
     // libhdf5 1.10.8 shows what lies in memory behind a chunk that is too short, or dies
     for (packed, skipped) in [(deflated(&[0; 16]), 0), (vec![0; 16], 1)] {
-        let (told, _) = refused_tile(&packed, skipped);
+        let (printed, _) = refused_tile(&packed, skipped);
         assert!(
-            told.contains("/tiles/0_0") && told.contains("16 bytes in place of 1024"),
-            "{told}"
+            printed.contains("/tiles/0_0") && printed.contains("16 bytes in place of 1024"),
+            "{printed}"
         );
     }
     // ... and takes the 512 MiB that this one becomes
     let bomb = deflated(&vec![0; 512 << 20]);
-    let (told, bytes) = refused_tile(&bomb, 0);
-    assert!(told.contains("unpacks to more than"), "{told}");
+    let (printed, bytes) = refused_tile(&bomb, 0);
+    assert!(printed.contains("unpacks to more than"), "{printed}");
     assert!(bytes < (8 << 20) + bomb.len(), "{bytes} bytes");
-    let (told, _) = refused_tile(&deflated(&vec![0; whole])[..9], 0);
-    assert!(told.contains("does not unpack"), "{told}");
+    let (printed, _) = refused_tile(&deflated(&vec![0; whole])[..9], 0);
+    assert!(printed.contains("does not unpack"), "{printed}");
 }
 
 #[test]
 fn packings_that_are_not_bounded_are_refused() {
-    let told = refused_reference(|f| {
+    let printed = refused_reference(|f| {
         f.unlink("image").unwrap();
         let image = f.new_dataset::<i32>().chunk((4, 4)).nbit().shape((4, 4));
         image.create("image").unwrap();
     });
-    assert!(told.contains("NBit") && told.contains("gzip"), "{told}");
-    let told = refused_reference(|f| {
+    assert!(printed.contains("NBit") && printed.contains("gzip"), "{printed}");
+    let printed = refused_reference(|f| {
         f.unlink("image").unwrap();
         f.new_dataset::<f32>().chunk((1, 1)).shape((2000, 2000)).create("image").unwrap();
     });
-    assert!(told.contains("4000000 chunks"), "{told}");
+    assert!(printed.contains("4000000 chunks"), "{printed}");
 }
 
 #[test]
@@ -537,6 +540,6 @@ fn blocks_before_a_file_are_refused() {
     let file = hdf5::FileBuilder::new().with_fcpl(|p| p.userblock(512)).create(&path).unwrap();
     list(&file, "image", &Array2::<f32>::zeros((4, 4)));
     file.close().unwrap();
-    let told = arrays::read(&path, None).unwrap_err().to_string();
-    assert!(told.contains("block of other data"), "{told}");
+    let printed = arrays::read(&path, None).unwrap_err().to_string();
+    assert!(printed.contains("block of other data"), "{printed}");
 }

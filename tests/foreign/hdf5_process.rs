@@ -22,7 +22,7 @@ fn stemgen(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-fn told(output: &Output) -> String {
+fn printed(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
@@ -40,7 +40,7 @@ pub fn read_by_the_program(file: &Path) -> Result<Vec<String>, String> {
     ];
     let ended = commands.map(|arguments| {
         let ended = stemgen(here.path(), arguments).output().unwrap();
-        let words = told(&ended);
+        let words = printed(&ended);
         // `verify` tells of faults where others would read them.
         let silent = words.is_empty() && ended.stdout.is_empty();
         let in_order = ended.status.success() || ended.status.code().is_some() && !silent;
@@ -76,7 +76,7 @@ fn a_file_that_hangs_the_library_is_refused() {
     endless(&here.join("bad.h5"), world);
     endless(&here.join("r.h5"), reference);
     let whole = stemgen(here, &["view", "w.h5", "-o", "w.png"]).output().unwrap();
-    assert!(whole.status.success(), "{}", told(&whole));
+    assert!(whole.status.success(), "{}", printed(&whole));
     std::fs::remove_file(here.join("w.png")).unwrap();
     let si = concat!(env!("CARGO_MANIFEST_DIR"), "/../structures/si.cif");
     let commands: [&[&str]; 6] = [
@@ -91,9 +91,9 @@ fn a_file_that_hangs_the_library_is_refused() {
         commands.iter().map(|arguments| stemgen(here, arguments).spawn().unwrap()).collect();
     for (arguments, child) in commands.iter().zip(children) {
         let ended = child.wait_with_output().unwrap();
-        let told = told(&ended);
-        assert_eq!(ended.status.code(), Some(1), "{arguments:?}: {told}");
-        assert!(told.contains("is damaged: the HDF5 library"), "{arguments:?}: {told}");
+        let printed = printed(&ended);
+        assert_eq!(ended.status.code(), Some(1), "{arguments:?}: {printed}");
+        assert!(printed.contains("is damaged: the HDF5 library"), "{arguments:?}: {printed}");
     }
     let mut left: Vec<_> =
         std::fs::read_dir(here).unwrap().map(|e| e.unwrap().file_name()).collect();
@@ -121,9 +121,9 @@ fn a_file_that_another_program_writes_is_refused_for_that_reason() {
     });
     for (arguments, child) in commands.iter().zip(children) {
         let ended = child.wait_with_output().unwrap();
-        let told = told(&ended);
-        assert_eq!(ended.status.code(), Some(1), "{arguments:?}: {told}");
-        assert!(told.contains("is locked by another program"), "{arguments:?}: {told}");
+        let printed = printed(&ended);
+        assert_eq!(ended.status.code(), Some(1), "{arguments:?}: {printed}");
+        assert!(printed.contains("is locked by another program"), "{arguments:?}: {printed}");
     }
 }
 
@@ -143,7 +143,7 @@ fn a_signal_ends_the_look_at_a_file() {
     // SAFETY: strace has not seen the program end, so its number is no other's.
     assert_eq!(unsafe { libc::kill(program, libc::SIGTERM) }, 0);
     let ended = reader.wait();
-    assert_eq!(ended.status.code(), Some(143), "{}", told(&ended));
+    assert_eq!(ended.status.code(), Some(143), "{}", printed(&ended));
     // The other process has ended with it.
     let state = std::fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
     assert!(state.is_empty() || state.contains(") Z "), "a process reads on: {state}");

@@ -20,7 +20,7 @@ use super::allocation::watch;
 use super::fuzz::processor_seconds;
 
 /// What a reader says of a structure: its number of atoms, or its error.
-fn told(format: Format, text: &str) -> String {
+fn printed(format: Format, text: &str) -> String {
     within(|| match parse(format, text.as_bytes(), Path::new("f")) {
         Ok(structure) => match structure.resolve_occupancy(1) {
             Ok(_) => format!("{} atoms", structure.atoms.len()),
@@ -46,7 +46,7 @@ fn within<T>(run: impl FnOnce() -> T) -> T {
 fn libraries_that_claim_much_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let (file, cache) = (folder.path().join("a.stemlib"), folder.path().join("cache"));
-    let told = |claimed: u64, packed: &[u8]| {
+    let printed = |claimed: u64, packed: &[u8]| {
         let mut bytes = b"STEMLIB1".to_vec();
         bytes.extend(NUMERICS_VERSION.to_le_bytes());
         bytes.extend(8_u32.to_le_bytes());
@@ -67,9 +67,9 @@ fn libraries_that_claim_much_are_refused() {
     let mut packed = ZlibEncoder::new(Vec::new(), Compression::best());
     packed.write_all(&vec![0; zeros]).unwrap();
     let packed = packed.finish().unwrap();
-    assert!(told(zeros as u64, &packed).contains("is no array of this program"));
-    assert!(told(1000, &packed).contains("another size"));
-    assert!(told(1 << 40, &packed).contains("an invalid name or size"));
+    assert!(printed(zeros as u64, &packed).contains("is no array of this program"));
+    assert!(printed(1000, &packed).contains("another size"));
+    assert!(printed(1 << 40, &packed).contains("an invalid name or size"));
     assert!(!cache.exists());
 }
 
@@ -84,13 +84,13 @@ const PARTIAL: &str = "Properties=species:S:1:pos:R:3:occupancy:R:1";
 #[test]
 fn atoms_in_one_place() {
     let full = xyz(4.0, "", (0..1_000_000).map(|_| "Si 1 1 1".to_owned()));
-    assert!(told(Format::ExtXyz, &full).contains("together occupy more than one site"));
+    assert!(printed(Format::ExtXyz, &full).contains("together occupy more than one site"));
     let partial = xyz(4.0, PARTIAL, (0..1_000_000).map(|_| "Si 1 1 1 1e-7".to_owned()));
-    assert!(told(Format::ExtXyz, &partial).contains("more than 200 atoms"));
+    assert!(printed(Format::ExtXyz, &partial).contains("more than 200 atoms"));
     let partial = xyz(4.0, PARTIAL, (0..30_000).map(|_| "Si 1 1 1 1e-5".to_owned()));
-    assert!(told(Format::ExtXyz, &partial).contains("more than 200 atoms"));
+    assert!(printed(Format::ExtXyz, &partial).contains("more than 200 atoms"));
     let pile = xyz(4.0, PARTIAL, (0..150).map(|_| "Si 1 1 1 0.005".to_owned()));
-    assert_eq!(told(Format::ExtXyz, &pile), "150 atoms");
+    assert_eq!(printed(Format::ExtXyz, &pile), "150 atoms");
 }
 
 #[test]
@@ -102,26 +102,26 @@ fn a_million_atoms_are_read_wherever_they_are() {
     // A crystal, and a cluster in a vacuum so wide that the usual search would find all of it in one box.
     for (cell, scale) in [(200.0, 2.0), (900_000.0, 0.5)] {
         let text = xyz(cell, "", (0..1_000_000).map(|i| place(i, scale)));
-        assert_eq!(told(Format::ExtXyz, &text), "1000000 atoms");
+        assert_eq!(printed(Format::ExtXyz, &text), "1000000 atoms");
     }
     // Piles of sites that are just not too many.
     let piles = xyz(900.0, PARTIAL, (0..400_000).map(|i| place(i / 150, 2.0) + " 0.001"));
-    assert_eq!(told(Format::ExtXyz, &piles), "400000 atoms");
+    assert_eq!(printed(Format::ExtXyz, &piles), "400000 atoms");
 }
 
 #[test]
 fn flat_cells_and_absurd_counts() {
     let flat = "1\nLattice=\"1 0 0 -0.5 0.866 0 0.5 0.288 0.001\" Properties=species:S:1:pos:R:3\nSi 0 0 0\n";
-    assert!(told(Format::ExtXyz, flat).contains("apart, expected at least 0.3 A"));
+    assert!(printed(Format::ExtXyz, flat).contains("apart, expected at least 0.3 A"));
     assert!(
-        told(Format::ExtXyz, "99999999999\nLattice=\"4 0 0 0 4 0 0 0 4\"\n")
+        printed(Format::ExtXyz, "99999999999\nLattice=\"4 0 0 0 4 0 0 0 4\"\n")
             .contains("at most 10000000")
     );
     let line = format!("1\nLattice=\"4 0 0 0 4 0 0 0 4\" {}\nSi 0 0 0\n", "a ".repeat(1 << 20));
-    assert!(told(Format::ExtXyz, &line).contains("at most 65536 are read"));
+    assert!(printed(Format::ExtXyz, &line).contains("at most 65536 are read"));
     let lines = "\n".repeat(100_000_000);
     let poscar = format!("c\n1\n4 0 0\n0 4 0\n0 0 4\nSi\n50000000\nDirect\n{lines}");
-    assert!(told(Format::Poscar, &poscar).contains("at most 10000000"));
+    assert!(printed(Format::Poscar, &poscar).contains("at most 10000000"));
 }
 
 #[test]
@@ -131,12 +131,12 @@ fn cif_of_many_words() {
     let values = format!("{}\n", "1 ".repeat(32_000)).repeat(500);
     let text = format!("{cell}loop_\n_a\n{values}");
     assert!(text.len() > 30 << 20);
-    assert!(told(Format::Cif, &text).contains("no data block"));
+    assert!(printed(Format::Cif, &text).contains("no data block"));
     let tags: String = (0..2_000_000).fold(String::new(), |mut s, i| {
         let _ = writeln!(s, "_{i:x} 1");
         s
     });
-    assert!(told(Format::Cif, &format!("{cell}{tags}")).contains("no data block"));
+    assert!(printed(Format::Cif, &format!("{cell}{tags}")).contains("no data block"));
     // A group of translations, as many as are read, and sites for each.
     let operations: String = (0..100).fold(String::new(), |mut s, i| {
         let _ = writeln!(s, "x,y,z+{i}/100");
@@ -155,9 +155,9 @@ fn cif_of_many_words() {
             sites(n)
         )
     };
-    let found = told(Format::Cif, &with(30_000));
+    let found = printed(Format::Cif, &with(30_000));
     assert!(found.contains("more than one site"), "{found}");
-    assert!(told(Format::Cif, &with(50_000)).contains("at most 4000000"));
+    assert!(printed(Format::Cif, &with(50_000)).contains("at most 4000000"));
 }
 
 #[test]
@@ -258,8 +258,8 @@ fn an_image_that_is_packed_too_much_is_refused_for_that_reason() {
     file.close().unwrap();
     let bytes = std::fs::metadata(&path).unwrap().len();
     assert!(bytes < (8192 * 8192 * 2) / 400, "{bytes} bytes: packed too little for this test");
-    let told = recorded::read(&path, &ImageChoice::default()).unwrap_err().to_string();
+    let printed = recorded::read(&path, &ImageChoice::default()).unwrap_err().to_string();
     for part in ["packed", ": 1; at most", "save it without compression (h5repack -f NONE)"] {
-        assert!(told.contains(part), "no `{part}` in {told}");
+        assert!(printed.contains(part), "no `{part}` in {printed}");
     }
 }

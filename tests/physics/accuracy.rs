@@ -266,18 +266,18 @@ fn what_windows_cannot_do_is_done_exactly() {
     let (settings, found) = of(0.1, &bright, &scan).unwrap();
     assert_eq!(settings.algorithm, Algorithm::Multislice);
     assert_eq!(settings.probe_box, Some(ProbeBox::Large));
-    let told = found.text();
+    let printed = found.text();
     assert!(
-        told.contains("exact engine, multislice with the probe of a large box, since"),
-        "{told}"
+        printed.contains("exact engine, multislice with the probe of a large box, since"),
+        "{printed}"
     );
     // A few probes are simulated exactly at once.
     let few = Scan { shape: [3, 3], ..scan };
     let (settings, found) = of(1.0, &Settings::default(), &few).unwrap();
     assert!(settings.algorithm == Algorithm::Multislice && found.tried.is_empty());
     for nonsense in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        let told = of(nonsense, &bright, &scan).unwrap_err().to_string();
-        assert!(told.contains("accuracy"), "{told}");
+        let printed = of(nonsense, &bright, &scan).unwrap_err().to_string();
+        assert!(printed.contains("accuracy"), "{printed}");
     }
 }
 

@@ -111,13 +111,13 @@ fn a_file_shows_as_much_carbon_as_the_dose_has_made() {
     let path = folder.path().join("carbon.h5");
     recording.write(&path, false, &recipe, &*specimen(&recipe).unwrap(), "test").unwrap();
     let file = hdf5::File::open(&path).unwrap();
-    let told: Vec<f64> = file.dataset("carbon_nm").unwrap().read_raw().unwrap();
+    let printed: Vec<f64> = file.dataset("carbon_nm").unwrap().read_raw().unwrap();
     let counts = file.dataset("recording").unwrap().read::<f32, ndarray::Ix3>().unwrap();
     let ideal = file.dataset("ideal").unwrap().read_2d::<f32>().unwrap();
     assert!(ideal.iter().all(|v| *v == 0.0), "there was nothing when it began");
     let frame = recording.exposure.electrons_per_pixel;
-    for (number, told) in told.iter().enumerate() {
-        assert!((told - number as f64).abs() < 1e-6, "frame {number}: {told} nm");
+    for (number, printed) in printed.iter().enumerate() {
+        assert!((printed - number as f64).abs() < 1e-6, "frame {number}: {printed} nm");
         // Further out, the tails of the probe leave the carbon.
         let counts = counts.index_axis(Axis(0), number);
         let edge = (0.5 / recipe.field.pixel_nm()) as usize;
@@ -127,9 +127,9 @@ fn a_file_shows_as_much_carbon_as_the_dose_has_made() {
             assert_eq!(seen, 0.0);
             continue;
         }
-        let known = layer_brightness(*told, SIZE_NM - 1.0);
-        println!("{told:.3} nm of carbon: {seen:.6} of the beam, a layer of it {known:.6}");
-        assert!((seen / known - 1.0).abs() < 0.05, "{told} nm: {seen}, expected {known}");
+        let known = layer_brightness(*printed, SIZE_NM - 1.0);
+        println!("{printed:.3} nm of carbon: {seen:.6} of the beam, a layer of it {known:.6}");
+        assert!((seen / known - 1.0).abs() < 0.05, "{printed} nm: {seen}, expected {known}");
     }
 }
 
@@ -246,21 +246,21 @@ fn what_cannot_be_is_refused_with_what_is_allowed() {
     let bare = recipe(&[]);
     let ranges = ["contamination_angstrom3_per_electron", "expected 0 to 10"];
     let thick = ["20.00 nm thick", "at most 6 nm", "smaller dose"];
-    let told = |recipe: &CheckedRecipe, rate: f64, dose: f64| {
+    let printed = |recipe: &CheckedRecipe, rate: f64, dose: f64| {
         recorded(recipe, growing(1, rate), dose).unwrap_err().to_string()
     };
     for (message, parts) in [
-        (told(&bare, -1e-3, 1e4), &ranges[..]),
-        (told(&bare, 11.0, 1e4), &ranges),
-        (told(&bare, f64::NAN, 1e4), &ranges),
-        (told(&bare, 2e-2, 1e4), &thick),
+        (printed(&bare, -1e-3, 1e4), &ranges[..]),
+        (printed(&bare, 11.0, 1e4), &ranges),
+        (printed(&bare, f64::NAN, 1e4), &ranges),
+        (printed(&bare, 2e-2, 1e4), &thick),
     ] {
         for part in parts {
             assert!(message.contains(part), "no `{part}` in: {message}");
         }
     }
     let bright = recipe(&["detector.inner_mrad=10", "detector.outer_mrad=21"]);
-    let message = told(&bright, 1e-5, 1e4);
+    let message = printed(&bright, 1e-5, 1e4);
     assert!(message.contains("outside the direct beam"), "{message}");
     let whole = recipe(&["acquisition.contamination_angstrom3_per_electron=1e-3"]);
     let folder = tempfile::tempdir().unwrap();

@@ -154,10 +154,10 @@ fn bad_responses_are_refused() {
             format!("detector={{inner_mrad=68.0,outer_mrad=110.0,response={bad}}}"),
             format!("detector=[{{name=\"A\",inner_mrad=68.0,outer_mrad=110.0,response={bad}}}]"),
         ] {
-            let told = recipe(&table).unwrap_err().to_string();
-            assert!(told.contains("response") && told.contains("0 to 1"), "{told}");
+            let printed = recipe(&table).unwrap_err().to_string();
+            assert!(printed.contains("response") && printed.contains("0 to 1"), "{printed}");
         }
     }
-    let told = recipe("detector={inner_mrad=68.0,outer_mrad=110.0,respose=[]}").unwrap_err();
-    assert!(told.to_string().contains("did you mean `response`"), "{told}");
+    let printed = recipe("detector={inner_mrad=68.0,outer_mrad=110.0,respose=[]}").unwrap_err();
+    assert!(printed.to_string().contains("did you mean `response`"), "{printed}");
 }

@@ -445,15 +445,15 @@ fn exit_waves_are_those_of_abtem() {
     let (_, _, ny, nx) = waves.dim();
     let (kept, extent) = (real.dim().1 as i64 / 2, g.cell_angstrom[0]);
     // abTEM's last slice is passed as a whole behind its plane, ours in part.
-    let wavelength = settings.optics.wavelength_angstrom();
+    let wavelength = g.json["conventions"]["wavelength_A"].as_f64().unwrap();
     let rest = -std::f64::consts::PI * wavelength * 0.5 * g.slice_angstrom() / extent.powi(2);
     let turn = |f: i64, i: usize, n: usize| {
         Complex64::cis(-std::f64::consts::TAU * (f * i as i64 % n as i64) as f64 / n as f64)
     };
     for probe in 0..2 {
-        let wave = waves.slice(ndarray::s![probe, 0, .., ..]).mapv(|v| {
-            Complex64::new(f64::from(v.re), f64::from(v.im)) / ((nx * ny) as f64).sqrt()
-        });
+        let wave = waves
+            .slice(ndarray::s![probe, 0, .., ..])
+            .mapv(|v| Complex64::new(f64::from(v.re), f64::from(v.im)) / ((nx * ny) as f64).sqrt());
         let across = Array2::from_shape_fn((nx, 2 * kept as usize + 1), |(x, k)| {
             turn(k as i64 - kept, x, nx)
         });

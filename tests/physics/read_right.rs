@@ -117,7 +117,7 @@ fn sites_closer_than_a_bond_are_alternatives_without_groups_too() {
 }
 
 #[test]
-fn sites_that_are_too_full_to_exclude_each_other_are_told() {
+fn sites_that_are_too_full_to_exclude_each_other_are_reported() {
     let read = cif("", "I1 I .5 .5 .5 .8\nI2 I .6 .5 .5 .7");
     assert!(read.notes[0].contains("closer than any bond"), "{:?}", read.notes);
     assert!(read.notes[0].contains("0.50 A apart"), "{:?}", read.notes);
@@ -199,7 +199,7 @@ fn the_frames_of_an_xdatcar_are_read_as_such() {
 }
 
 #[test]
-fn a_composition_that_is_not_the_formulas_is_told() {
+fn a_composition_that_is_not_the_formulas_is_reported() {
     let notes = |tags: &str, rows: &str| cif(tags, rows).notes;
     let cscl = "Cs1 Cs 0 0 0 1\nCl1 Cl .5 .5 .5 1";
     assert!(notes("_chemical_formula_sum 'Cs Cl'\n_cell_formula_units_Z 1", cscl).is_empty());
@@ -219,7 +219,7 @@ fn a_composition_that_is_not_the_formulas_is_told() {
 }
 
 #[test]
-fn a_multiplicity_that_the_operations_do_not_make_is_told() {
+fn a_multiplicity_that_the_operations_do_not_make_is_reported() {
     let read = cif("", "_atom_site_symmetry_multiplicity\nSi1 Si 0 0 0 1 8");
     let note = &read.notes[0];
     assert!(note.contains("`Si1`") && note.contains("is 8") && note.contains("make 1"), "{note}");

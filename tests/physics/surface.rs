@@ -249,7 +249,7 @@ fn what_no_layer_has_is_refused() {
         let change: Override = change.parse().unwrap();
         let read =
             Recipe::load("test", None).unwrap().with_overrides(std::slice::from_ref(&change));
-        let told = read.and_then(Recipe::checked).err().map(|e| e.to_string());
-        assert!(told.as_ref().is_some_and(|t| t.contains(part)), "{change:?}: {told:?}");
+        let printed = read.and_then(Recipe::checked).err().map(|e| e.to_string());
+        assert!(printed.as_ref().is_some_and(|t| t.contains(part)), "{change:?}: {printed:?}");
     }
 }

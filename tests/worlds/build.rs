@@ -171,7 +171,7 @@ fn subtiles_of_another_build_are_not_used() {
 }
 
 #[test]
-fn a_world_is_replaced_only_when_told_so() {
+fn a_world_is_replaced_only_on_request() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("w.h5");
     std::fs::write(&path, "precious").unwrap();
@@ -195,7 +195,7 @@ fn a_world_is_replaced_only_when_told_so() {
 }
 
 #[test]
-fn foreign_and_truncated_files_are_told_apart() {
+fn foreign_and_truncated_files_are_distinguished() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("w.h5");
     build(&recipe(1, 1), &Spots::new(), &path, &options(), &Silent).unwrap();

@@ -235,7 +235,7 @@ fn damaged_snapshots_are_refused() {
     let before = live.snapshot();
     assert_eq!((before.version, before.digest.len()), (2, 64));
     let value = serde_json::to_value(&before).unwrap();
-    let told = |value: serde_json::Value| {
+    let printed = |value: serde_json::Value| {
         let snapshot: LiveSnapshot = serde_json::from_value(value).unwrap();
         world(&[]).restore(&snapshot).unwrap_err().to_string()
     };
@@ -252,12 +252,12 @@ fn damaged_snapshots_are_refused() {
     for (change, part) in changes {
         let mut changed = value.clone();
         change(&mut changed);
-        let found = told(changed.clone());
+        let found = printed(changed.clone());
         assert!(found.contains("its digest does not match"), "{found}");
         // Snapshots of version 1 have none.
         changed["version"] = 1.into();
         changed["digest"] = "".into();
-        let found = told(changed);
+        let found = printed(changed);
         assert!(found.contains(part), "no `{part}` in {found}");
     }
     let mut old = value.clone();
@@ -267,7 +267,7 @@ fn damaged_snapshots_are_refused() {
     assert_eq!(live.snapshot(), before);
     let mut later = value;
     later["version"] = 3.into();
-    assert!(told(later).contains("version 3"));
+    assert!(printed(later).contains("version 3"));
 }
 
 /// Places that overlap add up to more than the mean of any recording: such a moment can be gone back to as well. And what is told of

@@ -325,7 +325,7 @@ fn a_cell_is_repeated_over_the_field() {
 }
 
 #[test]
-fn a_file_that_changed_or_went_is_told() {
+fn a_file_that_changed_or_went_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = labelled(folder.path());
     let recipe = labelled_recipe(folder.path());
@@ -350,7 +350,7 @@ fn a_file_that_changed_or_went_is_told() {
 }
 
 #[test]
-fn what_does_not_fit_is_told() {
+fn what_does_not_fit_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let error = |from: &str, to: &str| -> String {
         labelled(folder.path());

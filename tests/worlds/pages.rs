@@ -25,10 +25,10 @@ fn browser() -> bool {
     if run.status.success() {
         return true;
     }
-    let told = String::from_utf8_lossy(&run.stdout).trim().to_owned();
+    let printed = String::from_utf8_lossy(&run.stdout).trim().to_owned();
     let required = std::env::var_os("STEMGEN_REQUIRE_BROWSER").is_some();
-    assert!(!required, "{told}: apt-get install chromium chromium-driver");
-    skipped(&format!("the page was not opened: {told}"));
+    assert!(!required, "{printed}: apt-get install chromium chromium-driver");
+    skipped(&format!("the page was not opened: {printed}"));
     false
 }
 

@@ -426,7 +426,7 @@ fn a_field_without_particles_is_carbon() {
 }
 
 #[test]
-fn recipes_that_cannot_be_are_told_why() {
+fn recipes_that_cannot_be_are_refused_with_the_reason() {
     let good = include_str!("../../generate/pt.toml");
     let cases = [
         ("count = 21 ", "count = 400", "particles.count = 400: 60 x 60 nm have room for at most"),

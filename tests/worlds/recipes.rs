@@ -50,7 +50,7 @@ fn sections(changes: &str) -> Vec<(String, String)> {
 }
 
 #[test]
-fn bad_recipes_are_told_what_is_wrong() {
+fn bad_recipes_are_refused_with_the_fault() {
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join("tests/recipes/bad");
     let (mut count, mut faults) = (0, Vec::new());
     for entry in std::fs::read_dir(folder).unwrap() {
@@ -124,7 +124,7 @@ fn a_crop_keeps_the_pixel_and_the_centre() {
 }
 
 #[test]
-fn an_unknown_material_is_told_the_nearest() {
+fn an_unknown_material_is_refused_with_the_nearest() {
     let message = Recipe::load("srtoi3", Difficulty::Easy).unwrap_err().to_string();
     assert!(message.contains("did you mean `srtio3`?"), "{message}");
     assert!(

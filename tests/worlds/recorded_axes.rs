@@ -89,8 +89,8 @@ fn the_pixels_of_a_tiff_are_those_of_imagej_of_ome_or_of_its_resolution() {
         assert!(image.notes.is_empty(), "{name}: {:?}", image.notes);
         // Its axes have no names, and its first pixel no place: neither is guessed.
         let array = arrays::read(&file(name), None).unwrap();
-        let told = reference(&array, None, &[], None).unwrap_err().to_string();
-        assert!(told.contains("xy or yx"), "{told}");
+        let printed = reference(&array, None, &[], None).unwrap_err().to_string();
+        assert!(printed.contains("xy or yx"), "{printed}");
         let order = Some(stemgen::validate::user::Order::Yx);
         let found = reference(&array, order, &[], None).unwrap();
         assert!(found.step_angstrom.is_some() && found.origin_angstrom.is_none(), "{name}");
@@ -104,22 +104,25 @@ fn a_tiff_whose_zero_is_white_is_bright_where_its_picture_is() {
     let image = only("white_is_zero.tif");
     assert_eq!(image.pixels, expected());
     assert!(image.notes[0].contains("its zero is white"), "{:?}", image.notes);
-    let told = read(&file("white_is_zero_float.tif"), &ImageChoice::default()).unwrap_err();
-    assert!(told.to_string().contains("minisblack"), "{told}");
+    let printed = read(&file("white_is_zero_float.tif"), &ImageChoice::default()).unwrap_err();
+    assert!(printed.to_string().contains("minisblack"), "{printed}");
 }
 
 #[test]
 fn images_of_a_segmented_detector_have_the_titles_that_their_user_saw() {
     let path = file("velox_segments.emd");
-    let told = read(&path, &ImageChoice::default()).unwrap_err().to_string();
+    let printed = read(&path, &ImageChoice::default()).unwrap_err().to_string();
     // The Fourier transform is complex, and not offered.
-    assert!(told.contains("choose one of: DF4-A, DF4-B, iDPC") && !told.contains("FFT"), "{told}");
+    assert!(
+        printed.contains("choose one of: DF4-A, DF4-B, iDPC") && !printed.contains("FFT"),
+        "{printed}"
+    );
     for (k, name) in ["DF4-A", "DF4-B", "iDPC"].into_iter().enumerate() {
         let image = read(&path, &named(name)).unwrap();
         assert_eq!(image.pixels, expected() + 100.0 * k as f64, "{name}");
         assert_eq!((image.name.as_str(), image.detector.as_deref()), (name, Some("DF4")));
     }
     let transform = "30123456789abcdef0123456789abcde";
-    let told = read(&path, &named(transform)).unwrap_err().to_string();
-    assert!(told.contains("complex numbers"), "{told}");
+    let printed = read(&path, &named(transform)).unwrap_err().to_string();
+    assert!(printed.contains("complex numbers"), "{printed}");
 }

@@ -91,15 +91,18 @@ fn an_image_or_a_frame_is_chosen_and_a_thumbnail_never() {
     let folder = tempfile::tempdir().unwrap();
     for style in [DM3, DM4] {
         let path = stored(folder.path(), "two.dm3", &two_images(style));
-        let told = refused(&path, &ImageChoice::default());
-        assert!(told.contains("choose one of: HAADF, frames"), "{told}");
-        let told = refused(&path, &named("ADF"));
-        assert!(told.contains("no image `ADF`") && told.contains("HAADF, frames"), "{told}");
+        let printed = refused(&path, &ImageChoice::default());
+        assert!(printed.contains("choose one of: HAADF, frames"), "{printed}");
+        let printed = refused(&path, &named("ADF"));
+        assert!(
+            printed.contains("no image `ADF`") && printed.contains("HAADF, frames"),
+            "{printed}"
+        );
         let first = read(&path, &named("HAADF")).unwrap();
         assert_eq!(first.pixels, arr2(&[[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]));
         assert!((first.pixel_nm.unwrap() - 0.02).abs() < 1e-8);
-        let told = refused(&path, &named("frames"));
-        assert!(told.contains("holds 2 frames; choose one, from 0 to 1"), "{told}");
+        let printed = refused(&path, &named("frames"));
+        assert!(printed.contains("holds 2 frames; choose one, from 0 to 1"), "{printed}");
         let at = |index| ImageChoice { index: Some(index), ..named("frames") };
         assert!(refused(&path, &at(2)).contains("no frame 2"));
         let second = read(&path, &at(1)).unwrap();
@@ -143,10 +146,10 @@ fn damaged_dm_files_are_refused() {
         // Eight zeros end it.
         for length in 0..whole.len() - 8 {
             let path = stored(folder.path(), "cut.dm3", &whole[..length]);
-            let told = refused(&path, &ImageChoice::default());
+            let printed = refused(&path, &ImageChoice::default());
             assert!(
-                told.contains("readable") || told.contains("the file is complete"),
-                "{length}: {told}"
+                printed.contains("readable") || printed.contains("the file is complete"),
+                "{length}: {printed}"
             );
         }
         // Lengths of tags, of names and of arrays that ask for gigabytes.
@@ -171,8 +174,8 @@ fn damaged_dm_files_are_refused() {
     assert!(refused(&none, &ImageChoice::default()).contains("holds no"));
     let large =
         DM4.file(document(vec![image("a", &[1 << 20, 1 << 20], 6, 10, vec![], (1.0, "nm"))]));
-    let told = refused(&stored(folder.path(), "l.dm4", &large), &ImageChoice::default());
-    assert!(told.contains("announces 1099511627776 bytes"), "{told}");
+    let printed = refused(&stored(folder.path(), "l.dm4", &large), &ImageChoice::default());
+    assert!(printed.contains("announces 1099511627776 bytes"), "{printed}");
 }
 
 /// Makes an HDF5 file.
@@ -207,8 +210,8 @@ fn signals_of_hyperspy_are_read_with_their_axes() {
     let one = data.slice(s![..1, .., ..]);
     let both = [stack("HAADF", one, &[10.0]), stack("BF", data.view(), &[10.0, 20.0])];
     write_hspy(&path, true, &both, &HspyFacts::default()).unwrap();
-    let told = refused(&path, &ImageChoice::default());
-    assert!(told.contains("choose one of:") && told.contains("HAADF"), "{told}");
+    let printed = refused(&path, &ImageChoice::default());
+    assert!(printed.contains("choose one of:") && printed.contains("HAADF"), "{printed}");
     let found = read(&path, &named("HAADF")).unwrap();
     assert_eq!(found.pixels, data.slice(s![0, .., ..]).mapv(f64::from));
     assert!((found.pixel_nm.unwrap() - 0.02).abs() < 1e-12);
@@ -243,10 +246,10 @@ fn images_of_velox_are_read_with_their_detectors() {
         velox_image(file, "b0123456789", "BF", 100);
         velox_image(file, "c0123456789", "BF", 200);
     });
-    let told = refused(&path, &ImageChoice::default());
-    assert!(told.contains("HAADF, BF:b0123456, BF:c0123456"), "{told}");
-    let told = refused(&path, &named("HAADF"));
-    assert!(told.contains("holds 2 frames"), "{told}");
+    let printed = refused(&path, &ImageChoice::default());
+    assert!(printed.contains("HAADF, BF:b0123456, BF:c0123456"), "{printed}");
+    let printed = refused(&path, &named("HAADF"));
+    assert!(printed.contains("holds 2 frames"), "{printed}");
     for (name, first) in
         [("HAADF", 0.0), ("BF:c0123456", 200.0), ("/Data/Image/b0123456789/Data", 100.0)]
     {
@@ -291,8 +294,8 @@ fn other_hdf5_files_are_read_by_the_paths_of_their_images() {
     assert_eq!(found.pixels, data);
     assert!((found.pixel_nm.unwrap() - 0.05).abs() < 1e-12);
     assert!(read(&path, &named("/plain")).unwrap().pixel_nm.unwrap_err().contains("no pixel size"));
-    let told = refused(&path, &ImageChoice::default());
-    assert!(told.contains("several") && told.contains("/root/annular/data"), "{told}");
+    let printed = refused(&path, &ImageChoice::default());
+    assert!(printed.contains("several") && printed.contains("/root/annular/data"), "{printed}");
     assert!(refused(&path, &named("/nothing")).contains("no image `/nothing`"));
     assert!(refused(&path, &named("cube")).contains("has 4 axes"));
     assert!(refused(&path, &named("coloured")).contains("r and g and b"));
@@ -311,25 +314,25 @@ fn what_cannot_be_a_world_is_refused() {
         only(&stored(folder.path(), "a.dm3", &DM3.file(document(vec![image]))))
     };
     let usual = ReplayOptions::default();
-    let told = |image: RecordedImage, options: &ReplayOptions| {
+    let printed = |image: RecordedImage, options: &ReplayOptions| {
         ReplayWorld::new(image, options).unwrap_err().to_string()
     };
     let ramp = |k: usize| k as f32;
-    let small = told(recorded(127, 400, "nm", ramp), &usual);
+    let small = printed(recorded(127, 400, "nm", ramp), &usual);
     assert!(small.contains("127 x 400 pixels") && small.contains("larger part"), "{small}");
-    let unsaid = told(recorded(128, 128, "", ramp), &usual);
+    let unsaid = printed(recorded(128, 128, "", ramp), &usual);
     assert!(unsaid.contains("does not contain a usable pixel size"), "{unsaid}");
     for nm in [-0.02, 0.0, f64::NAN, 1e9] {
         let options = ReplayOptions { pixel_nm: Some(nm), ..usual.clone() };
-        let told = told(recorded(128, 128, "nm", ramp), &options);
-        assert!(told.contains("pixel of the recorded image"), "{told}");
+        let printed = printed(recorded(128, 128, "nm", ramp), &options);
+        assert!(printed.contains("pixel of the recorded image"), "{printed}");
     }
-    assert!(told(recorded(128, 128, "nm", |_| 4.0), &usual).contains("one value"));
-    assert!(told(recorded(128, 128, "nm", |_| f32::NAN), &usual).contains("finite value"));
+    assert!(printed(recorded(128, 128, "nm", |_| 4.0), &usual).contains("one value"));
+    assert!(printed(recorded(128, 128, "nm", |_| f32::NAN), &usual).contains("finite value"));
     let back = ReplayOptions { percentiles: [90.0, 10.0], ..usual.clone() };
-    assert!(told(recorded(128, 128, "nm", ramp), &back).contains("the lower first"));
+    assert!(printed(recorded(128, 128, "nm", ramp), &back).contains("the lower first"));
     let spacing = ReplayOptions { spacing_nm: Some(-1.0), ..usual.clone() };
-    assert!(told(recorded(128, 128, "nm", ramp), &spacing).contains("positive length"));
+    assert!(printed(recorded(128, 128, "nm", ramp), &spacing).contains("positive length"));
     assert!(ReplayWorld::new(recorded(128, 128, "nm", ramp), &usual).is_ok());
     let options = ReplayOptions { pixel_nm: Some(0.5), ..usual };
     let given = ReplayWorld::new(recorded(128, 128, "", ramp), &options).unwrap();
@@ -534,8 +537,8 @@ fn lists_of_cells_that_do_not_fit_are_refused() {
     let found = only(&path);
     assert!(found.pixel_nm.clone().unwrap_err().contains("no `Scale`"));
     let options = ReplayOptions { pixel_nm: Some(0.02), ..ReplayOptions::default() };
-    let told = ReplayWorld::new(found, &options).unwrap_err().to_string();
-    assert!(told.contains("4 places, of which 0 lie"), "{told}");
+    let printed = ReplayWorld::new(found, &options).unwrap_err().to_string();
+    assert!(printed.contains("4 places, of which 0 lie"), "{printed}");
 }
 
 #[test]

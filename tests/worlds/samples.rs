@@ -186,15 +186,15 @@ fn samples_depend_on_their_number_alone_and_their_labels_on_what_they_show() {
 #[test]
 fn impossible_samples_are_refused() {
     let field = &*FIELD;
-    let told = |options: SampleOptions| {
+    let printed = |options: SampleOptions| {
         options.check(&field.recipe.field).expect_err("refused").to_string()
     };
-    assert!(told(SampleOptions { size_px: 400, ..options() }).contains("does not fit"));
-    assert!(told(SampleOptions { dose: [5.0, 1.0], ..options() }).contains("the lower first"));
-    assert!(told(SampleOptions { pixel_nm: [0.0, 1.0], ..options() }).contains("0.0001"));
-    assert!(told(SampleOptions { sigma_px: 0.0, ..options() }).contains("heat maps"));
+    assert!(printed(SampleOptions { size_px: 400, ..options() }).contains("does not fit"));
+    assert!(printed(SampleOptions { dose: [5.0, 1.0], ..options() }).contains("the lower first"));
+    assert!(printed(SampleOptions { pixel_nm: [0.0, 1.0], ..options() }).contains("0.0001"));
+    assert!(printed(SampleOptions { sigma_px: 0.0, ..options() }).contains("heat maps"));
     let outside =
         TurnedRaster { centre_nm: [0.1, 3.0], pixel_nm: 0.02, angle_rad: 0.0, shape: [32, 32] };
-    let told = turned_image(&field.recipe, &field.mosaic, &outside, &Silent).unwrap_err();
-    assert!(told.to_string().contains("the full field"), "{told}");
+    let printed = turned_image(&field.recipe, &field.mosaic, &outside, &Silent).unwrap_err();
+    assert!(printed.to_string().contains("the full field"), "{printed}");
 }

@@ -13,6 +13,7 @@ use super::pixel_matrices::PixelMatrices;
 use super::ring_sums::RingSums;
 use crate::detect::{PatternDetector, RadialBins};
 use crate::matrix::multiply;
+use crate::plane;
 use num_complex::Complex32;
 
 /// Number of probes whose patterns are assembled from their waves at a time.
@@ -343,7 +344,7 @@ impl<'a> PatternReader<'a> {
                     // On the full grid, the point where the tilted beam leaves is moved to the middle of the box.
                     let centre = self.around.is_none().then(|| {
                         let way = self.plan.beam_shift(part.height_angstrom);
-                        [0, 1].map(|k| position[k] + way[k])
+                        plane::add(*position, way)
                     });
                     let out = &mut out[to..][..self.pattern_len()];
                     self.own_frequencies(psi, &mut w.own[..own]);

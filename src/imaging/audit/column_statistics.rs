@@ -4,6 +4,8 @@ use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 use crate::imaging::pixels::PixelRect;
+use crate::lengths;
+use crate::plane;
 use crate::recipe::Recipe;
 use crate::specimen::{SiteKind, Specimen, SpecimenSite};
 use crate::structure::elements;
@@ -75,12 +77,12 @@ pub(crate) fn column_points(
     [ours, exact]: [&Array2<f64>; 2],
 ) -> Vec<ColumnPoint> {
     let pixel_nm = recipe.field.pixel_nm();
-    let step = 10.0 * pixel_nm * region.stride as f64;
+    let step = lengths::angstrom(pixel_nm) * region.stride as f64;
     let sites = specimen.query(&region.region(pixel_nm).grown(-0.08));
-    let corner = [1, 0].map(|k| region.first[k] as f64 * 10.0 * pixel_nm);
+    let corner = plane::swapped(region.first).map(|n| n as f64 * 10.0 * pixel_nm);
     let mut found = Vec::new();
     for column in &sites.columns {
-        let at = [0, 1].map(|k| 10.0 * column.position_nm[k] - corner[k]);
+        let at = plane::sub(lengths::angstrom(column.position_nm), corner);
         let mut near = [0.0; 3];
         for ((i, j), value) in ours.indexed_iter() {
             let d = [at[0] - j as f64 * step, at[1] - i as f64 * step];

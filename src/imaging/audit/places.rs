@@ -3,6 +3,7 @@
 use super::options::AuditOptions;
 use crate::error::{Error, Result};
 use crate::imaging::pixels::PixelRect;
+use crate::plane;
 use crate::recipe::Recipe;
 use crate::rng::{self, Purpose};
 use crate::specimen::{Specimen, outlines_in};
@@ -39,8 +40,8 @@ pub fn places(
     };
     let origin = field.crop_origin_px();
     let place = |corner: [usize; 2]| AuditPlace {
-        pixels: PixelRect::new([0, 1].map(|k| origin[k] + corner[k]), [edge; 2]).every(stride),
-        centre_nm: [1, 0].map(|k| (corner[k] as f64 + 0.5 * (edge - 1) as f64) * pixel),
+        pixels: PixelRect::new(plane::add(origin, corner), [edge; 2]).every(stride),
+        centre_nm: plane::swapped(corner).map(|n| (n as f64 + 0.5 * (edge - 1) as f64) * pixel),
     };
     Ok(corners.into_iter().map(place).collect())
 }
@@ -79,7 +80,7 @@ fn random_corners(
 fn given_corners(recipe: &Recipe, options: &AuditOptions, edge: usize) -> Result<Vec<[usize; 2]>> {
     let (shape, pixel) = (recipe.field.pixels(recipe.field.built_grid()), recipe.field.pixel_nm());
     let corner = |at: &[f64; 2]| {
-        let corner = [1, 0].map(|k| (at[k] / pixel - 0.5 * edge as f64).round());
+        let corner = plane::swapped(*at).map(|nm| (nm / pixel - 0.5 * edge as f64).round());
         let inside = |k: usize| corner[k] >= 0.0 && corner[k] as usize + edge <= shape[k];
         if inside(0) && inside(1) {
             return Ok(corner.map(|c| c as usize));

@@ -123,13 +123,12 @@ pub fn audit(
     let all = recipe.phonons.configurations.max(1);
     let configurations = options.configurations.unwrap_or(all).clamp(1, all);
     let reference = reference(recipe, specimen);
-    let pixel = 10.0 * recipe.field.pixel_nm();
+    let pixel = recipe.field.pixel_angstrom();
     let stride = stride(options, pixel);
     let step_angstrom = pixel * stride as f64;
     let places = places(recipe, specimen, options, stride)?;
     let layers = SurfaceLayers::of(recipe, specimen.facts().thickness_nm);
-    let thickness =
-        layers.map_or(specimen.facts().thickness_nm, |layers| 0.1 * layers.thickness_angstrom());
+    let thickness = layers.map_or(specimen.facts().thickness_nm, |layers| layers.thickness_nm());
     let points =
         |p: &AuditPlace| p.pixels.sampled_shape().iter().product::<usize>() * configurations;
     progress.start("auditing", "probe", places.iter().map(points).sum::<usize>() as u64);
@@ -228,7 +227,7 @@ pub(crate) fn audit_cost(
     let configurations = options.configurations.unwrap_or(all).clamp(1, all);
     let reference = reference(recipe, specimen).with_configurations(configurations);
     let edge = (options.size_nm / recipe.field.pixel_nm()).round().max(1.0) as usize;
-    let pixel = 10.0 * recipe.field.pixel_nm();
+    let pixel = recipe.field.pixel_angstrom();
     let probes = match recipe.optics.source() {
         None => edge.div_ceil(stride(options, pixel)).pow(2),
         Some(source) => {

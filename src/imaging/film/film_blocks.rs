@@ -15,6 +15,7 @@ use crate::engine::Site;
 use crate::engine::phonons::displaced;
 use crate::engine::single_scattering::{ScatteringMap, SingleScattering};
 use crate::error::Result;
+use crate::lengths;
 use crate::recipe::Region;
 
 /// Atoms further than this from a probe are left out, in Angstrom. At this distance from the edge of a particle of 4 nm, the particle adds
@@ -93,7 +94,7 @@ impl FilmBlocks {
             map.image(beyond).slice_move(s![inner.clone(), inner.clone()])
         };
         let outside = 0.5 * scene.window_angstrom;
-        let depth = scene.film.depth_nm.map(|z| 10.0 * z);
+        let depth = lengths::angstrom(scene.film.depth_nm);
         let which = (scene.recipe.seed, configurations);
         let of_film = scattering_map(&raster, &film, (scene.film.number, depth), which)?;
         let mut images = [image(&of_film, 0.0), image(&of_film, outside)];

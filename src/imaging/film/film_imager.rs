@@ -20,7 +20,7 @@ use super::samples::Samples;
 use crate::engine::{Algorithm, ProbeBox, ProbeStep, Settings};
 use crate::error::{Error, Result};
 use crate::imaging::direct::rectangle_plan;
-use crate::imaging::displaced_atoms::{DisplacedAtoms, displaced_by_seed};
+use crate::imaging::displaced_atoms::{DisplacedAtoms, FrozenPhonons, displaced_by_seed};
 use crate::imaging::imaging_cost::{ImagingCost, SimulationRuns};
 use crate::imaging::pixels::PixelRect;
 use crate::imaging::region_imager::{
@@ -28,6 +28,8 @@ use crate::imaging::region_imager::{
 };
 use crate::imaging::simulator::Simulator;
 use crate::imaging::turned_raster::TurnedRaster;
+use crate::lengths;
+use crate::plane;
 use crate::potential::slices::{GROUP_ANGSTROM, Slicing};
 use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, Region};
@@ -132,7 +134,7 @@ impl RegionImager for FilmImager {
             return Err(Error::Interrupted);
         }
         let PixelRect { first, shape, .. } = *pixels;
-        let pixel = 10.0 * self.scene.recipe.field.pixel_nm() / self.scene.step;
+        let pixel = self.scene.recipe.field.pixel_angstrom() / self.scene.step;
         let samples = Samples::under(first, shape, pixel);
         let [mut image, outside] = self.film.images(&samples, configurations)?;
         let blocks = ParticleBlocks::touching(&samples);
@@ -145,7 +147,7 @@ impl RegionImager for FilmImager {
             }
             share.complete();
         }
-        let at = [0, 1].map(|k| first[k] as f64 * pixel - samples.first[k] as f64);
+        let at = plane::sub(first.map(|n| n as f64 * pixel), samples.first.map(|n| n as f64));
         let image = self.kernel.raster(image.view(), at, [pixel; 2], shape, [Edge::Open; 2]);
         Ok(vec![pixels.sampled(image.mapv(|v| v.max(0.0)))])
     }
@@ -192,9 +194,9 @@ impl RegionImager for FilmImager {
     /// Displaces all atoms. Heights of the film's atoms are rounded to slices as thick as in any specimen without planes; particles need
     /// thinner slices.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
-        let seed = (self.scene.recipe.seed, configuration);
+        let which = FrozenPhonons { seed: self.scene.recipe.seed, configuration };
         let phonons = &self.scene.recipe.phonons;
-        let mut atoms = displaced_by_seed(&*self.scene.specimen, area, seed, phonons);
+        let mut atoms = displaced_by_seed(&*self.scene.specimen, area, which, phonons);
         for (site, z) in atoms.sites.iter().zip(&mut atoms.heights) {
             if self.scene.film.holds(site.key) {
                 *z = self.scene.film.slice_height_angstrom(*z, GROUP_ANGSTROM);
@@ -207,7 +209,7 @@ impl RegionImager for FilmImager {
 impl ImageBlocks for FilmImager {
     /// The area of the film's blocks. It is larger than the area of the particles' blocks.
     fn shown_area(&self, &PixelRect { first, shape, .. }: &PixelRect) -> Region {
-        let pixel = 10.0 * self.scene.recipe.field.pixel_nm() / self.scene.step;
+        let pixel = self.scene.recipe.field.pixel_angstrom() / self.scene.step;
         self.film.shown_area(&Samples::under(first, shape, pixel))
     }
 
@@ -234,7 +236,7 @@ impl ImageBlocks for FilmImager {
         let places =
             (0..rows).step_by(8).flat_map(|i| (0..columns).step_by(8).map(move |j| (i, j)));
         let way = places.map(|(i, j)| chord(at(j, first[1]), at(i, first[0]))).sum::<f64>();
-        let per_pixel = (10.0 * pixel / self.scene.step).powi(2);
+        let per_pixel = (lengths::angstrom(pixel) / self.scene.step).powi(2);
         let configurations = self.scene.recipe.phonons.configurations.max(1) as f64;
         let probes_nm = 64.0 * way * per_pixel * configurations;
         rows * columns + (PIXELS_PER_PROBE_NM * probes_nm) as usize

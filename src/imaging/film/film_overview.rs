@@ -15,6 +15,7 @@ use super::film_scene::FilmScene;
 use crate::engine::single_scattering::cross_section_angstrom2;
 use crate::error::Result;
 use crate::imaging::turned_raster::TurnedRaster;
+use crate::lengths;
 use crate::optics::Optics;
 use crate::specimen::SiteKind;
 
@@ -32,9 +33,9 @@ pub fn film_overview(scene: &FilmScene, raster: &TurnedRaster) -> Result<Array2<
     let section = |number: u8| cross_section_angstrom2(settings, number);
     let of_film = section(scene.film.number)? * 0.01 * scene.film.atoms_per_nm2;
     let mut image = Array2::from_elem(raster.shape, of_film);
-    let depth = 10.0 * scene.film.depth_nm[0];
+    let depth = lengths::angstrom(scene.film.depth_nm[0]);
     let reach = CUT * probe_sigma(&settings.optics, 0.0).max(probe_sigma(&settings.optics, depth));
-    let region = raster.region().grown(0.1 * reach);
+    let region = raster.region().grown(lengths::nm(reach));
     let mut sections = BTreeMap::new();
     for site in scene.specimen.particles_on_a_plane(&region).sites {
         if site.kind == SiteKind::Vacancy {
@@ -45,7 +46,7 @@ pub fn film_overview(scene: &FilmScene, raster: &TurnedRaster) -> Result<Array2<
             None => *sections.entry(site.number).or_insert(section(site.number)?),
         };
         let [x, y, z] = site.position_nm;
-        let sigma = probe_sigma(&settings.optics, 10.0 * z);
+        let sigma = probe_sigma(&settings.optics, lengths::angstrom(z));
         add_gaussian(&mut image, raster, [x, y], section, sigma);
     }
     Ok(image)
@@ -68,7 +69,7 @@ fn add_gaussian(
     volume: f64,
     sigma: f64,
 ) {
-    let pixel = 10.0 * raster.pixel_nm;
+    let pixel = raster.pixel_angstrom();
     let at = raster.place_px(place);
     let shares = |k: usize| -> (usize, Vec<f64>) {
         let reach = CUT * sigma / pixel;

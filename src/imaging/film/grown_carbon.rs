@@ -14,8 +14,10 @@ use crate::engine::single_scattering::SingleScattering;
 use crate::engine::{Algorithm, Scan, Settings, Site, SourceBlur};
 use crate::error::{Error, Result};
 use crate::imaging::simulator::Simulator;
+use crate::lengths;
 use crate::models::carbon::carbon_film::Film;
 use crate::models::carbon::network::CARBON;
+use crate::plane;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Kernel, TAPS, image_band_limit};
 use crate::rng::{Purpose, words};
@@ -130,7 +132,7 @@ impl GrownCarbon {
     fn block(&self, index: [i64; 2]) -> CarbonBlock {
         let margin = self.reach() as f64 * self.step;
         let Region { x, y } = Samples::block(index, BLOCK).region(self.step, margin);
-        let [x, y] = [x, y].map(|range| range.map(|nm| 10.0 * nm));
+        let [x, y] = lengths::angstrom([x, y]);
         let site = |atom: crate::models::carbon::carbon_film::FilmAtom| Site {
             position: atom.position,
             number: CARBON,
@@ -171,7 +173,7 @@ impl CarbonPatch<'_> {
         for block in &mut self.blocks {
             let there = |site: &Site| {
                 let [x, y, height] = site.position;
-                height < angstrom.at([0.1 * x, 0.1 * y])
+                height < angstrom.at(lengths::nm([x, y]))
             };
             let (new, coming): (Vec<Site>, Vec<Site>) =
                 std::mem::take(&mut block.coming).into_iter().partition(there);
@@ -198,10 +200,10 @@ impl CarbonPatch<'_> {
             image = blur.blurred(image);
         }
         let step = self.carbon.step;
-        let first = [1, 0].map(|k| self.samples.first[k] + self.margin[k] as i64);
+        let first = plane::swapped(plane::add(self.samples.first, self.margin.map(|n| n as i64)));
         SourceImage::with_kernel(
             image.mapv(|v| v as f32),
-            0.1 * step,
+            lengths::nm(step),
             first.map(|n| 0.1 * n as f64 * step),
             self.carbon.kernel.clone(),
         )

@@ -16,6 +16,8 @@ use crate::engine::{Plan, PlannedScan, Scan, Site};
 use crate::error::Result;
 use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::imaging::pixels::PixelBox;
+use crate::lengths;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::Region;
 use crate::specimen::{ParticleOutline, outlines_in};
@@ -78,7 +80,7 @@ impl ParticleBlocks {
 
     /// Approximate distance in nm from the centre of a particle up to which probes are propagated.
     pub fn reach_nm(&self, particle: &ParticleOutline) -> f64 {
-        0.5 * particle.diameter_nm + 0.1 * self.near()
+        0.5 * particle.diameter_nm + lengths::nm(self.near())
     }
 
     /// Width of the specimen around the probes of a block, in Angstrom.
@@ -90,7 +92,7 @@ impl ParticleBlocks {
     pub fn particle_probes(&self) -> usize {
         let area = |p: &ParticleOutline| std::f64::consts::PI * self.reach_nm(p).powi(2);
         let particles = outlines_in(&*self.scene.specimen, &self.scene.recipe.field.built_region());
-        let step_nm = 0.1 * self.scene.step;
+        let step_nm = lengths::nm(self.scene.step);
         (particles.iter().map(area).sum::<f64>() / (step_nm * step_nm)) as usize
     }
 
@@ -106,10 +108,10 @@ impl ParticleBlocks {
         let off = |p: &ParticleOutline| (p.diameter_nm - mean).abs();
         particles.sort_by(|a, b| off(a).total_cmp(&off(b)));
         let Some(particle) = particles.first() else { return Ok(None) };
-        let half = 0.05 * BLOCK as f64 * self.scene.step + 0.1 * self.margin();
-        let [x, y] = [0, 1].map(|k| [particle.centre_nm[k] - half, particle.centre_nm[k] + half]);
+        let half = 0.05 * BLOCK as f64 * self.scene.step + lengths::nm(self.margin());
+        let [x, y] = particle.centre_nm.map(|at| [at - half, at + half]);
         let atoms = self.scene.atoms(&Region { x, y });
-        let size = [20.0 * half, 20.0 * half, 10.0 * self.scene.specimen.facts().thickness_nm];
+        let size = [20.0 * half, 20.0 * half, self.scene.specimen.facts().thickness_angstrom()];
         let plan = Plan::new(self.scene.simulator.settings(), size, &self.heights(&atoms))?;
         let scan = Scan {
             origin_angstrom: [self.margin(); 2],
@@ -172,7 +174,7 @@ impl ParticleBlocks {
             })
             .collect();
         let Some(samples) = self.near_particles(&whole, &particles) else { return Ok(None) };
-        let from = [0, 1].map(|k| (samples.first[k] - whole.first[k]) as f64);
+        let from = plane::sub(samples.first, whole.first).map(|n| n as f64);
         let moved: Vec<[f64; 2]> =
             particles.iter().map(|p| [p[0] - from[0], p[1] - from[1]]).collect();
         let share = self.share(&samples, &moved);
@@ -255,7 +257,8 @@ impl ParticleBlocks {
             step_angstrom: [self.scene.step; 2],
             shape: samples.shape,
         };
-        let pixels = PixelBox::of_area(area, scan, 10.0 * self.scene.specimen.facts().thickness_nm);
+        let pixels =
+            PixelBox::of_area(area, scan, self.scene.specimen.facts().thickness_angstrom());
         // Films are imaged on one detector.
         Ok(self.scene.simulator.means(&pixels, configurations, moved, progress)?.swap_remove(0))
     }

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use crate::lengths;
+use crate::plane;
 use crate::recipe::Region;
 use crate::resample::HALF_WIDTH;
 
@@ -35,7 +37,7 @@ impl Samples {
         let range = |k: usize| {
             let first = self.first[1 - k] as f64 * step;
             let last = first + (self.shape[1 - k] - 1) as f64 * step;
-            [first - margin, last + margin].map(|v| 0.1 * v)
+            lengths::nm([first - margin, last + margin])
         };
         Region { x: range(0), y: range(1) }
     }
@@ -51,9 +53,9 @@ impl Samples {
     /// The samples from which places in a region (nm of the full field) are interpolated. The distance of samples is `step` Angstrom.
     pub fn around(region: &Region, step: f64) -> Self {
         let margin = HALF_WIDTH as i64;
-        let range = |[low, high]: [f64; 2]| {
-            let first = (10.0 * low / step).floor() as i64 - margin;
-            (first, ((10.0 * high / step).floor() as i64 + 2 + margin - first) as usize)
+        let range = |ends: [f64; 2]| {
+            let [low, high] = lengths::angstrom(ends).map(|at| (at / step).floor() as i64);
+            (low - margin, (high - low + 2 + 2 * margin) as usize)
         };
         let ((x, columns), (y, rows)) = (range(region.x), range(region.y));
         Samples { first: [y, x], shape: [rows, columns] }
@@ -65,7 +67,7 @@ impl Samples {
         let margin = HALF_WIDTH as i64;
         let low = first.map(|p| (p as f64 * pixel).floor() as i64 - margin);
         let high =
-            [0, 1].map(|k| ((first[k] + shape[k] - 1) as f64 * pixel).floor() as i64 + 1 + margin);
-        Samples { first: low, shape: [0, 1].map(|k| (high[k] - low[k] + 1) as usize) }
+            plane::add(first, shape).map(|p| ((p - 1) as f64 * pixel).floor() as i64 + 1 + margin);
+        Samples { first: low, shape: plane::sub(high, low).map(|n| (n + 1) as usize) }
     }
 }

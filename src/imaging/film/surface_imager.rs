@@ -14,7 +14,7 @@ use crate::detect::Detector;
 use crate::engine::Settings;
 use crate::engine::single_scattering::SingleScattering;
 use crate::error::Result;
-use crate::imaging::displaced_atoms::{DisplacedAtoms, with_layers};
+use crate::imaging::displaced_atoms::{DisplacedAtoms, FrozenPhonons, with_layers};
 use crate::imaging::imaging_cost::ImagingCost;
 use crate::imaging::pixels::PixelRect;
 use crate::imaging::region_imager::{
@@ -22,6 +22,7 @@ use crate::imaging::region_imager::{
 };
 use crate::imaging::turned_raster::{ScannedSamples, TurnedRaster};
 use crate::models::carbon::network::CARBON;
+use crate::plane;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Edge, Kernel, image_band_limit};
@@ -134,10 +135,10 @@ impl RegionImager for SurfaceImager {
     ) -> Result<Vec<Array2<f64>>> {
         let image = self.inner.mean_of(pixels, configurations, progress)?;
         let PixelRect { first, shape, .. } = *pixels;
-        let pixel = 10.0 * self.recipe.field.pixel_nm() / self.step;
+        let pixel = self.recipe.field.pixel_angstrom() / self.step;
         let samples = Samples::under(first, shape, pixel);
         let layers = self.layers_at(&samples, configurations)?;
-        let at = [0, 1].map(|k| first[k] as f64 * pixel - samples.first[k] as f64);
+        let at = plane::sub(first.map(|n| n as f64 * pixel), samples.first.map(|n| n as f64));
         let layers = self.kernel.raster(layers.view(), at, [pixel; 2], shape, [Edge::Open; 2]);
         Ok(vec![image + pixels.sampled(layers.mapv(|v| v.max(0.0)))])
     }
@@ -158,7 +159,7 @@ impl RegionImager for SurfaceImager {
             return Ok(None);
         };
         let samples = Samples::around(&raster.region(), self.step);
-        let first = [1, 0].map(|k| samples.first[k] as f64 * self.step);
+        let first = plane::swapped(samples.first).map(|n| n as f64 * self.step);
         let values = self.layers_at(&samples, configurations)?;
         let layers = ScannedSamples { values, first, step: self.step };
         let layers = layers.at(&raster.places_angstrom(), &self.kernel);
@@ -170,7 +171,7 @@ impl RegionImager for SurfaceImager {
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         let atoms = self.inner.atoms(area, configuration);
-        let which = (self.recipe.seed, configuration);
+        let which = FrozenPhonons { seed: self.recipe.seed, configuration };
         with_layers(&self.layers, atoms, area, which, self.settings.optics.slope())
     }
 

@@ -9,12 +9,15 @@ use crate::imaging::mosaic::bins::{Bins, grouped};
 use crate::imaging::mosaic::cell_images::{CellImages, Realisation};
 use crate::imaging::mosaic::image_library::ImageLibrary;
 use crate::imaging::mosaic::survey::BEYOND_NM;
+use crate::lengths;
+use crate::plane;
 use crate::recipe::region::Region;
 use crate::resample::{Kernel, TAPS, Weights};
 use crate::simd::vectorised;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::sites::SiteKind;
 use crate::specimen::specimen_trait::Specimen;
+use crate::specimen::units::patterns::UnitSeed;
 use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 
 /// Width of the ramps between units. A unit's weight is exp(-d^2 / 2 s): d is the distance to the unit's nearest column in Angstrom, and
@@ -98,7 +101,7 @@ impl Assembly {
         pixel_nm: f64,
         way: [f64; 2],
     ) -> Self {
-        let pixel_angstrom = 10.0 * pixel_nm;
+        let pixel_angstrom = lengths::angstrom(pixel_nm);
         let place = |n: usize| {
             let at = [first[1] + n % shape[1], first[0] + n / shape[1]];
             at.map(|p| p as f64 * pixel_angstrom)
@@ -123,9 +126,9 @@ impl Assembly {
         let (mut families, mut family) = (Families::default(), 0);
         for column in specimen.columns(&area) {
             let id = column.unit.map_or(column.id, |u| u.id);
-            let at = column.position_nm.map(|v| 10.0 * v);
+            let at = lengths::angstrom(column.position_nm);
             let unit = *known.entry(id).or_insert_with(|| {
-                let centre = column.unit.map_or(at, |u| u.centre_nm.map(|v| 10.0 * v));
+                let centre = column.unit.map_or(at, |u| lengths::angstrom(u.centre_nm));
                 family = column.unit.map_or(family, |tag| families.index(family, &tag));
                 units.push(PlacedUnit { tag: column.unit, family, centre });
                 units.len() - 1
@@ -137,7 +140,7 @@ impl Assembly {
             let (mut shares, mut near, mut last) = (Vec::new(), NearColumns::default(), None);
             for column in 0..shape[1] {
                 let at = places[row * shape[1] + column];
-                let at = [0, 1].map(|k| at[k] + way[k]);
+                let at = plane::add(at, way);
                 let here = bins.bin(at);
                 if last != Some(here) {
                     last = Some(here);
@@ -178,7 +181,7 @@ impl Assembly {
             let best = known.iter().min_by(|a, b| unlike(a).total_cmp(&unlike(b)));
             let Some((other, _)) = best else { continue };
             let unit = &self.units[other.unit];
-            let centre = [0, 1].map(|k| column.at[k] + unit.centre[k] - other.at[k]);
+            let centre = plane::sub(plane::add(column.at, unit.centre), other.at);
             stand_ins.push((column.unit, PlacedUnit { centre, ..*unit }));
         }
         for (unit, stand_in) in stand_ins {
@@ -228,7 +231,8 @@ impl Assembly {
         configurations: usize,
     ) -> Array2<f64> {
         self.image_of((library, detector), kernel, |cell, tag| {
-            let mut own = cell.realisations(tag.entry, (seed, tag.id), library.configurations());
+            let unit = UnitSeed { seed, id: tag.id };
+            let mut own = cell.realisations(tag.entry, unit, library.configurations());
             own.truncate(configurations);
             own
         })
@@ -282,10 +286,10 @@ impl Assembly {
         tag: &UnitTag,
         cell: &CellImages,
     ) -> [f64; 2] {
-        let d = [0, 1].map(|k| self.places[pixel][k] - unit.centre[k]);
+        let d = plane::sub(self.places[pixel], unit.centre);
         // The inverse of an orthogonal matrix is its transpose.
         let [u, v] = tag.frame;
-        [0, 1].map(|k| (u[k] * d[0] + v[k] * d[1]) / cell.step_angstrom[k])
+        plane::div(plane::add(u.map(|u| u * d[0]), v.map(|v| v * d[1])), cell.step_angstrom)
     }
 }
 
@@ -399,7 +403,7 @@ fn values(
         add(cell.mean(detector, realisations[0].library_cell), [0, 0], 1.0);
     } else {
         for (realisation, at) in realisations.iter().zip(&centres) {
-            let shift = [0, 1].map(|k| (at[k] - centre[k]).round() as i64);
+            let shift = plane::sub(*at, centre).map(|d| d.round() as i64);
             let image = cell.image(detector, realisation.library_cell, realisation.configuration);
             add(image, shift, 1.0 / realisations.len() as f64);
         }

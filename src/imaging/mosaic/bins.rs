@@ -1,5 +1,7 @@
 //! Groups of items, and points sorted into square bins.
 
+use crate::plane;
+
 /// Points sorted into square bins.
 pub(crate) struct Bins {
     edge: f64,
@@ -18,7 +20,7 @@ impl Bins {
         let bins: Vec<[i64; 2]> = points.map(|at| bin_of(at, edge)).collect();
         let first = [0, 1].map(|k| bins.iter().map(|bin| bin[k]).min().unwrap_or(0));
         let end = [0, 1].map(|k| bins.iter().map(|bin| bin[k] + 1).max().unwrap_or(0));
-        let count = [0, 1].map(|k| (end[k] - first[k]) as usize);
+        let count = plane::sub(end, first).map(|n| n as usize);
         let [x, y] = [0, 1].map(|k| move |bin: &[i64; 2]| (bin[k] - first[k]) as usize);
         let of_point = bins.iter().map(|bin| y(bin) * count[0] + x(bin));
         let (starts, points) = grouped(count[0] * count[1], of_point);
@@ -32,7 +34,7 @@ impl Bins {
 
     /// Indices of the points in a bin, ascending.
     pub(crate) fn of(&self, bin: [i64; 2]) -> &[usize] {
-        let [x, y] = [0, 1].map(|k| usize::try_from(bin[k] - self.first[k]).unwrap_or(usize::MAX));
+        let [x, y] = plane::sub(bin, self.first).map(|n| usize::try_from(n).unwrap_or(usize::MAX));
         if x >= self.count[0] || y >= self.count[1] {
             return &[];
         }

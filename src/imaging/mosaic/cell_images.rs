@@ -10,11 +10,13 @@ use crate::error::Result;
 use crate::imaging::mosaic::image_note::ImageNote;
 use crate::numerics::NUMERICS_VERSION;
 use crate::optics::Optics;
+use crate::plane;
 use crate::resample::{Kernel, PeriodicResampling, image_band_limit, nyquist_step};
 use crate::rng::{self, Purpose};
 use crate::specimen::sites::SiteKind;
 use crate::specimen::units::library_cell::{LibraryCell, LibrarySite, LibraryUnit};
 use crate::specimen::units::occupation::DefectKind;
+use crate::specimen::units::patterns::UnitSeed;
 use crate::specimen::units::unit_tag::PatternIndex;
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::structure::elements;
@@ -167,15 +169,15 @@ impl CellImages {
     /// Position of a unit in samples (x, y).
     pub(crate) fn position(&self, unit: usize) -> [f64; 2] {
         let centre = self.library_cell.units[unit].centre;
-        [0, 1].map(|k| (centre[k] - self.library_cell.scan_origin[k]) / self.step_angstrom[k])
+        plane::div(plane::sub(centre, self.library_cell.scan_origin), self.step_angstrom)
     }
 
-    /// The configurations whose mean a unit of a world shows; `id` is the unit's number. For a unit without defects they are drawn from all
+    /// The configurations whose mean a unit of a world shows. For a unit without defects they are drawn from all
     /// library units of its kind without defects. Any other unit shows the configurations of its entry.
     pub(crate) fn realisations(
         &self,
         entry: PatternIndex,
-        (seed, id): (u64, u64),
+        shown: UnitSeed,
         configurations: usize,
     ) -> Vec<Realisation> {
         let own = |cell: usize| self.locate(entry.kind, cell);
@@ -188,7 +190,7 @@ impl CellImages {
         let mut taken: Vec<usize> = Vec::with_capacity(configurations);
         let mut draw = 0;
         while taken.len() < configurations {
-            for word in rng::words(seed, Purpose::Library, draw, id) {
+            for word in rng::words(shown.seed, Purpose::Library, draw, shown.id) {
                 let pick = ((u64::from(word) * all as u64) >> 32) as usize;
                 if taken.len() < configurations && !taken.contains(&pick) {
                     taken.push(pick);

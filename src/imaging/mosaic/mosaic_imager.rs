@@ -16,19 +16,21 @@ use super::survey::{FieldSurvey, survey};
 use crate::error::{Error, Result};
 use crate::files::Shard;
 use crate::imaging::direct::rectangle_plan;
-use crate::imaging::displaced_atoms::{DisplacedAtoms, displaced_atoms};
+use crate::imaging::displaced_atoms::{DisplacedAtoms, FrozenPhonons, displaced_atoms};
 use crate::imaging::imaging_cost::{ImagingCost, SimulationRuns};
 use crate::imaging::pixels::{PixelBox, PixelRect};
 use crate::imaging::region_imager::{
     DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, RegionImager, SharedLibrary,
 };
 use crate::imaging::simulator::Simulator;
-use crate::imaging::turned_raster::{TurnedRaster, between_probes};
+use crate::imaging::turned_raster::{SpecimenAround, TurnedRaster, between_probes};
+use crate::lengths;
 use crate::progress::{InterruptOnly, Progress, Silent};
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Kernel, image_band_limit};
 use crate::specimen::atom_columns::AtomColumn;
 use crate::specimen::specimen_trait::Specimen;
+use crate::specimen::units::patterns::UnitSeed;
 use crate::specimen::units::unit_tag::TurnedFamily;
 
 /// A mosaic is used where the missing images of its library need fewer probes than this share of the field's.
@@ -253,7 +255,10 @@ impl MosaicImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Vec<Vec<f64>>> {
-        let around = (self.simulator.margin_angstrom(), self.specimen.facts().thickness_nm);
+        let around = SpecimenAround {
+            margin_angstrom: self.simulator.margin_angstrom(),
+            thickness_nm: self.specimen.facts().thickness_nm,
+        };
         let band_limit = image_band_limit(&self.simulator.settings().optics);
         between_probes(places, band_limit, around, |pixels| {
             let atoms = |configuration| self.atoms(&pixels.area, configuration);
@@ -278,7 +283,7 @@ impl MosaicImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Vec<Array2<f64>>> {
-        let edge = (0.1 * BLOCK_ANGSTROM / raster.pixel_nm).ceil() as usize;
+        let edge = (lengths::nm(BLOCK_ANGSTROM) / raster.pixel_nm).ceil() as usize;
         let missing = assembly.missing(library);
         for (_, members) in blocks(&missing, [0, 0], raster.shape, edge.clamp(1, BLOCK_PX)) {
             let place = |(pixel, _): &(usize, f64)| assembly.places()[*pixel];
@@ -464,7 +469,8 @@ impl RegionImager for MosaicImager {
         let of_column = |column: &AtomColumn| {
             let tag = column.unit?;
             let cell = library.cell_images(TurnedFamily::of(&tag))?;
-            let of_unit = cell.realisations(tag.entry, (seed, tag.id), library.configurations());
+            let unit = UnitSeed { seed, id: tag.id };
+            let of_unit = cell.realisations(tag.entry, unit, library.configurations());
             let realisation = of_unit[configuration];
             Some(move |n: usize| {
                 let [a, b, c] = cell.displacement(realisation, tag.member, n);
@@ -472,7 +478,7 @@ impl RegionImager for MosaicImager {
                 [u[0] * a + u[1] * b, v[0] * a + v[1] * b, c]
             })
         };
-        let which = (seed, configuration);
+        let which = FrozenPhonons { seed, configuration };
         displaced_atoms(&*self.specimen, area, which, &self.recipe.phonons, of_column)
     }
 
@@ -490,7 +496,7 @@ impl RegionImager for MosaicImager {
         };
         let (mut more, mut largest_block) = (None, None);
         if mosaic.unique_columns > 0 {
-            let pixel = 10.0 * self.recipe.field.pixel_nm();
+            let pixel = self.recipe.field.pixel_angstrom();
             let edge = (UNIQUE_ANGSTROM / pixel).ceil() as usize;
             more = Some(self.rectangle(edge, mosaic.unique_columns as usize)?);
             largest_block = Some(self.rectangle(BLOCK_PX, 0)?);

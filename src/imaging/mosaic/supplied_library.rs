@@ -171,8 +171,8 @@ impl SuppliedLibrary {
 
     /// Warns once in a process of a missing folder. A folder without an archive for a material is no fault.
     fn tell_if_missing(&self, progress: &dyn Progress) {
-        static TOLD: AtomicBool = AtomicBool::new(false);
-        if !self.folder.is_dir() && !TOLD.swap(true, Ordering::Relaxed) {
+        static WARNED: AtomicBool = AtomicBool::new(false);
+        if !self.folder.is_dir() && !WARNED.swap(true, Ordering::Relaxed) {
             let folder = self.folder.display();
             progress.warn(&format!(
                 "{folder}: the folder does not exist, so no library is used; the environment variable {LIBRARY_VARIABLE} names this folder"

@@ -1,6 +1,7 @@
 //! Marks decahedra: five twinned tetrahedra about a common axis, with re-entrant notches.
 
 use super::{Candidate, Cluster, Metal, Morphology, Vec3};
+use crate::plane;
 
 /// Five crystals about a common axis. In projection along it, each fills a wedge with rows of atoms (i, j), i steps along one side of the
 /// wedge and j along the other; a row has `axis - i - j` atoms, so that {111} facets cap it.
@@ -55,7 +56,7 @@ impl Candidate for Decahedron {
             let (e, f) =
                 (side(2.0 * f64::from(crystal) - 1.0), side(2.0 * f64::from(crystal) + 1.0));
             for [i, j] in self.rows() {
-                let at = [0, 1].map(|k| i as f64 * e[k] + j as f64 * f[k]);
+                let at = plane::add(e.map(|e| i as f64 * e), f.map(|f| j as f64 * f));
                 row(at, self.axis - i - j);
             }
         }

@@ -16,6 +16,7 @@ use std::collections::HashMap;
 use std::sync::{LazyLock, Mutex, PoisonError};
 
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::setting::Setting;
 use crate::structure::for_each_pair;
 use crate::structure::lattice::Vec3;
@@ -110,12 +111,12 @@ impl Metal {
     /// Returns the diameter in nm of `count` atoms.
     pub fn diameter_nm(&self, count: usize) -> f64 {
         let volume = count as f64 * self.a * self.a * self.a / 4.0;
-        0.1 * libm::cbrt(6.0 * volume / std::f64::consts::PI)
+        lengths::nm(libm::cbrt(6.0 * volume / std::f64::consts::PI))
     }
 
     /// Returns the number of atoms that fill a sphere of this diameter.
     pub fn count(&self, diameter_nm: f64) -> f64 {
-        let d = 10.0 * diameter_nm / self.a;
+        let d = lengths::angstrom(diameter_nm) / self.a;
         4.0 * std::f64::consts::PI / 6.0 * d * d * d
     }
 }

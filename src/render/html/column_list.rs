@@ -11,6 +11,7 @@ use super::blobs::Blobs;
 use crate::error::Result;
 use crate::io::schema::CompositionText;
 use crate::io::{WorldColumn, WorldFile, atom_type};
+use crate::plane;
 
 /// Edge of a cell in nm.
 const CELL: f64 = 4.0;
@@ -169,7 +170,7 @@ impl Cells {
         let corner = [0, 1].map(|k| along(k).fold(f64::INFINITY, f64::min).min(1e6).floor());
         let end = [0, 1].map(|k| along(k).fold(f64::NEG_INFINITY, f64::max));
         // A file whose positions are far off is still shown, if not right.
-        let number = [0, 1].map(|k| ((end[k] - corner[k]) / CELL).clamp(0.0, 4095.0) as usize + 1);
+        let number = plane::sub(end, corner).map(|l| (l / CELL).clamp(0.0, 4095.0) as usize + 1);
         Cells { corner, number }
     }
 

@@ -11,6 +11,7 @@ use super::pyramid::{Pyramid, TILE};
 use super::{Page, colormaps};
 use crate::error::{Error, Result};
 use crate::io::{WorldFile, WorldMetadata};
+use crate::lengths;
 use crate::render::Colormap;
 use crate::setting::Setting;
 
@@ -137,7 +138,7 @@ fn image(metadata: &WorldMetadata, clean: bool, exact: bool) -> PageImage {
         scale,
         offset,
         stored: scaling.map(|_| "normalised intensity"),
-        electrons: dose.map(|d| d * (10.0 * metadata.pixel_size_nm).powi(2)),
+        electrons: dose.map(|d| d * lengths::square_angstrom2(metadata.pixel_size_nm)),
         exact,
         levels: Vec::new(),
     }

@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use crate::specimen::units::library_cell::{LibraryCell, LibrarySite, LibraryUnit};
 use crate::specimen::units::occupation::{DefectKind, LIBRARY_CELL_ANGSTROM, library_cells};
 use crate::specimen::units::patterns;
-use crate::specimen::units::patterns::{DefectPatterns, bin_of};
+use crate::specimen::units::patterns::{DefectPatterns, UnitSeed, bin_of};
 use crate::specimen::units::unit_tag::PatternIndex;
 use crate::structure::columns::{Chain, ColumnCrystal};
 
@@ -114,7 +114,8 @@ impl BoundaryMotif {
     ) -> Option<PatternIndex> {
         let bin = bin_of(around);
         let allowed = vec![true; self.pool.sites(slot)];
-        let cell = self.pool.draw(slot, bin, rate, &allowed, 0.0, (self.seed, id))?;
+        let unit = UnitSeed { seed: self.seed, id };
+        let cell = self.pool.draw(slot, bin, rate, &allowed, 0.0, unit)?;
         Some(PatternIndex { bin, kind: slot, cell })
     }
 

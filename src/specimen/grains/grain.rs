@@ -1,5 +1,7 @@
 //! The lattice of one grain of a polycrystal.
 
+use crate::plane;
+
 /// The lattice of one grain.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Grain {
@@ -53,7 +55,7 @@ impl Grain {
                 }
             }
         }
-        [0, 1].map(|k| low[k].floor() as i64 - 1..=high[k].ceil() as i64)
+        plane::per_axis(low, high, |low, high| low.floor() as i64 - 1..=high.ceil() as i64)
     }
 }
 

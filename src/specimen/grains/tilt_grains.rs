@@ -4,12 +4,13 @@
 use std::collections::{BTreeMap, HashMap};
 
 use crate::error::{Error, Result};
+use crate::lengths;
+use crate::plane;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
 use crate::recipe::tables::Boundaries;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
-use crate::specimen::coherent::NM;
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::defects::clusters::Clusters;
 use crate::specimen::defects::rules::Defects;
@@ -75,6 +76,13 @@ struct Present {
     kept: u64,
 }
 
+impl Present {
+    /// Position (x, y) in nm.
+    fn position_nm(&self) -> [f64; 2] {
+        lengths::nm(self.position)
+    }
+}
+
 /// The contents of a column for each kind of defect.
 struct Held {
     /// The column's place in the library, which shows columns of one kind of defect only.
@@ -111,7 +119,7 @@ impl Grains {
             facts: SpecimenFacts::default(),
         };
         specimen.facts.thickness_nm =
-            specimen.cells_along_beam as f64 * specimen.crystal.cell[2] * NM;
+            lengths::nm(specimen.cells_along_beam as f64 * specimen.crystal.cell[2]);
         specimen.facts.clusters_nm = specimen.clusters.centres_nm().to_vec();
         specimen.lay_out(recipe.boundaries.as_ref(), &shortest)?;
         specimen.defects = Defects::fit(recipe, |element, histogram| {
@@ -130,9 +138,9 @@ impl Grains {
         boundaries: Option<&Boundaries>,
         shortest: &BTreeMap<(u8, u8), f64>,
     ) -> Result<()> {
-        let centre_y = 0.5 * (self.field.y[0] + self.field.y[1]) / NM;
-        let left_edge = self.field.x[0] / NM;
-        let width = (self.field.x[1] - self.field.x[0]) / NM;
+        let centre_y = self.middle_angstrom();
+        let left_edge = lengths::angstrom_by_division(self.field.x[0]);
+        let width = lengths::angstrom_by_division(self.field.x[1] - self.field.x[0]);
         let everywhere = [f64::NEG_INFINITY, f64::INFINITY];
         let Some(boundaries) = boundaries.filter(|b| b.count > 0) else {
             let origin = [left_edge + 0.5 * width, centre_y];
@@ -169,18 +177,23 @@ impl Grains {
         self.grains.push(grain);
         let limits = MinDistances::new(&boundaries.min_distance_angstrom, shortest);
         self.reach = limits.greatest();
-        let span = self.extent.y.map(|y| y / NM);
+        let span = lengths::angstrom_by_division(self.extent.y);
         for (left, grain) in self.grains[..boundaries.count].iter().enumerate() {
             self.fates.extend(boundary::resolve(&self.crystal, grain, left, span, &limits));
         }
         Ok(())
     }
 
+    /// Returns the middle of the field along y in Angstrom.
+    fn middle_angstrom(&self) -> f64 {
+        lengths::angstrom_by_division(0.5 * (self.field.y[0] + self.field.y[1]))
+    }
+
     /// Returns the distance of a position (x, y) in Angstrom from the nearest place about which vacancies gather, in nm.
     fn distance_nm(&self, position: [f64; 2]) -> f64 {
-        let across = |plane: &f64| (position[0] - plane).abs() * NM;
+        let across = |plane: &f64| lengths::nm((position[0] - plane).abs());
         let boundary = || self.planes.iter().map(across).fold(f64::INFINITY, f64::min);
-        self.clusters.distance_nm(position.map(|v| v * NM)).unwrap_or_else(boundary)
+        self.clusters.distance_nm(lengths::nm(position)).unwrap_or_else(boundary)
     }
 
     fn chains(&self, column: &Present) -> impl Iterator<Item = (usize, &Chain)> + use<'_> {
@@ -273,7 +286,7 @@ impl Grains {
             return Some(UnitTag {
                 id: column.index.id(),
                 member: 0,
-                centre_nm: column.position.map(|v| v * NM),
+                centre_nm: column.position_nm(),
                 family: UnitFamily {
                     motif: 1 + repeat.motif + process,
                     structure: 0,
@@ -288,7 +301,7 @@ impl Grains {
         Some(UnitTag {
             id: first.id(),
             member,
-            centre_nm: centre.map(|v| v * NM),
+            centre_nm: lengths::nm(centre),
             family: UnitFamily { motif: 0, structure: process, bin: entry.bin },
             entry,
             frame: [[x * c, -x * s], [s, c]],
@@ -368,7 +381,7 @@ impl Grains {
     /// Returns y of the lattice point on a boundary's plane that is nearest above the middle of the field.
     fn origin_on(&self, plane: usize, period: f64) -> Option<f64> {
         let (grain, x) = (&self.grains[plane], self.planes[plane]);
-        let middle = 0.5 * (self.field.y[0] + self.field.y[1]) / NM;
+        let middle = self.middle_angstrom();
         let cell = self.crystal.cell;
         // In a centred lattice every other point on the plane may be the corner of a cell.
         let [is, js] = grain.cells(cell, [[x, x], [middle, middle + 2.0 * period]]);
@@ -384,7 +397,8 @@ impl Grains {
         // The range begins a little lower, so that rounding neither counts a column twice nor skips it.
         let low = origin - 1e-3;
         let rect = [[x - reach, x + reach], [low, low + period]];
-        let region = Region { x: rect[0].map(|v| v * NM), y: rect[1].map(|v| v * NM) };
+        let [across, along] = lengths::nm(rect);
+        let region = Region { x: across, y: along };
         let mut columns = Vec::new();
         self.for_each_column(&region, |column| {
             let position = [column.position[0] - x, column.position[1] - origin];
@@ -405,9 +419,9 @@ impl Grains {
         if region.x[0] >= region.x[1] || region.y[0] >= region.y[1] {
             return;
         }
-        let wide = region.grown(self.reach * NM);
+        let wide = region.grown(lengths::nm(self.reach));
         for (number, grain) in self.grains.iter().enumerate() {
-            let (x, y) = (wide.x.map(|v| v / NM), wide.y.map(|v| v / NM));
+            let [x, y] = lengths::angstrom_by_division([wide.x, wide.y]);
             let x = [x[0].max(grain.x[0]), x[1].min(grain.x[1])];
             if x[0] > x[1] {
                 continue;
@@ -419,7 +433,7 @@ impl Grains {
                         let index = ColumnIndex { grain: number, kind, cell: [i, j] };
                         let column = self.column(grain, index);
                         column
-                            .filter(|c| region.contains(c.position.map(|v| v * NM)))
+                            .filter(|c| region.contains(c.position_nm()))
                             .into_iter()
                             .for_each(&mut f);
                     }
@@ -450,7 +464,7 @@ impl Grains {
     fn listed(&self, region: &Region, with_sites: bool) -> Sites {
         let mut out = Sites::default();
         self.for_each_column(region, |column| {
-            let [x, y] = column.position.map(|v| v * NM);
+            let [x, y] = column.position_nm();
             let held = self.held(&column);
             let defects = self.defects.at(self.distance_nm(column.position));
             let cells = 0..if with_sites { self.cells_along_beam } else { 0 };
@@ -458,7 +472,7 @@ impl Grains {
                 self.chains(&column).enumerate().map(move |(there, (n, c))| (cell, there, n, c))
             });
             let sites = sites.map(|(cell, there, number, chain)| {
-                let z = (cell as f64 + chain.z) * self.crystal.cell[2] * NM;
+                let z = lengths::nm((cell as f64 + chain.z) * self.crystal.cell[2]);
                 let key = column.index.key(chain, cell);
                 let (kind, number) = match &held {
                     Some(Held { defective, .. }) => {
@@ -482,7 +496,7 @@ impl SpecimenLayout for Grains {
     }
 
     fn boundaries(&self) -> Vec<Boundary> {
-        let line = |&plane: &f64| self.field.y.map(|y| [plane * NM, y]).to_vec();
+        let line = |&plane: &f64| self.field.y.map(|y| [lengths::nm(plane), y]).to_vec();
         let boundary = |plane| Boundary { line_nm: line(plane), kind: self.kind.clone() };
         self.planes.iter().map(boundary).collect()
     }
@@ -540,7 +554,7 @@ fn shows(motif: &BoundaryMotif, columns: &[BoundaryColumn], flip: [f64; 2]) -> b
     let mut count = 0;
     let all = near.into_iter().all(|c| {
         count += 1;
-        let seen = [0, 1].map(|k| flip[k] * c.position[k]);
+        let seen = plane::mul(flip, c.position);
         motif.slot(seen, c.chains.iter().map(|(n, _)| *n)).is_some()
     });
     all && count == motif.slot_count()
@@ -555,7 +569,7 @@ fn coincidence_of(boundaries: &Boundaries, cell: [f64; 3]) -> Result<Option<Half
 
 fn centre(positions: impl ExactSizeIterator<Item = [f64; 2]>) -> [f64; 2] {
     let count = positions.len() as f64;
-    positions.fold([0.0; 2], |sum, p| [0, 1].map(|k| sum[k] + p[k] / count))
+    positions.fold([0.0; 2], |sum, p| plane::add(sum, p.map(|v| v / count)))
 }
 
 /// Returns the mirror plane nearest to `target` (all in Angstrom): a lattice line of the coincidence boundary, or the line through a

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::interfaces::{Extent, Interfaces};
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::models::stack::Isometry;
 use crate::models::stack::fault_planes::{part_of, parts};
 use crate::recipe::stack_table::{Precipitate, PrecipitateShape};
@@ -13,9 +14,8 @@ use crate::rng::{Purpose, uniform};
 use crate::setting::Setting;
 use crate::specimen::sites::SiteKind;
 use crate::structure::elements;
-use crate::structure::lattice::Vec3;
+use crate::structure::lattice::{Vec3, subtract};
 
-const NM: f64 = 0.1;
 /// Positions are compared with the faces of the specimen to this many Angstrom.
 const ROUNDING: f64 = 1e-6;
 
@@ -199,7 +199,7 @@ impl Exchange {
                 let pair = [number(below), number(above)];
                 [pair[own], pair[1 - own]]
             };
-            Some((width / NM, above.exchange.iter().map(pair).collect()))
+            Some((lengths::angstrom_by_division(width), above.exchange.iter().map(pair).collect()))
         };
         Exchange { layer, seed, sides: [pairs(layer, 1), pairs(layer + 1, 0)] }
     }
@@ -241,14 +241,16 @@ fn bounds_of(shape: &Precipitate, extent: &Extent) -> Extent {
     let across = 0.5 * a.hypot(b);
     let reach = [across, across, 0.5 * c];
     std::array::from_fn(|k| {
-        let [low, high] = [-1.0, 1.0].map(|side| (shape.centre_nm[k] + side * reach[k]) / NM);
+        let [low, high] = lengths::angstrom_by_division(
+            [-1.0, 1.0].map(|side| shape.centre_nm[k] + side * reach[k]),
+        );
         [extent[k][0].max(low), extent[k][1].min(high)]
     })
 }
 
 /// Whether a point in Angstrom lies in a precipitate.
 fn holds(shape: &Precipitate, at: Vec3) -> bool {
-    let from: Vec3 = std::array::from_fn(|k| NM * at[k] - shape.centre_nm[k]);
+    let from = subtract(lengths::nm(at), shape.centre_nm);
     let (sin, cos) = libm::sincos(shape.turn_deg.to_radians());
     let turned = [from[0] * cos + from[1] * sin, from[1] * cos - from[0] * sin, from[2]];
     let [x, y, z]: Vec3 = std::array::from_fn(|k| 2.0 * turned[k] / shape.size_nm[k]);

@@ -1,5 +1,6 @@
 //! Heights of the interfaces of a stack, with their roughness.
 
+use crate::lengths;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::stack_table::DEFAULT_CORRELATION_NM;
 use crate::recipe::stacked_crystals::StackedCrystals;
@@ -7,7 +8,6 @@ use crate::recipe::{CheckedRecipe, StackTable};
 use crate::specimen::roughness::Roughness;
 use crate::structure::lattice::Vec3;
 
-const NM: f64 = 0.1;
 /// Width in nm by which rough interfaces reach beyond the atoms about the field.
 const MARGIN_NM: f64 = 1.0;
 
@@ -72,7 +72,8 @@ impl Interfaces {
     pub fn height(&self, n: usize, at: Vec3) -> f64 {
         let [first, second] = self.in_plane;
         let rough = self.rough[n].as_ref().map_or(0.0, |rough| {
-            rough.at(NM * at[first], NM * at[second] - self.second_start_nm) / NM
+            let [x, y] = lengths::nm([at[first], at[second]]);
+            lengths::angstrom_by_division(rough.at(x, y - self.second_start_nm))
         });
         self.heights[n] + rough
     }
@@ -90,7 +91,11 @@ impl Interfaces {
 
     /// Returns the box of a layer within an extent, roughness included.
     pub fn bounds(&self, layer: usize, extent: &Extent) -> Extent {
-        let reach = |n: usize| self.rough[n].as_ref().map_or(0.0, |rough| rough.greatest() / NM);
+        let reach = |n: usize| {
+            self.rough[n]
+                .as_ref()
+                .map_or(0.0, |rough| lengths::angstrom_by_division(rough.greatest()))
+        };
         let low = self.heights[layer] - reach(layer);
         let high = self.heights[layer + 1] + reach(layer + 1);
         let mut bounds = *extent;
@@ -104,9 +109,13 @@ impl Interfaces {
         match &self.rough[n] {
             None => range.map(|at| [at, self.heights[n]]).to_vec(),
             Some(rough) => {
-                let places = rough.corners(range.map(|v| NM * v)).into_iter();
+                let places = rough.corners(lengths::nm(range)).into_iter();
                 places
-                    .map(|nm| [nm / NM, self.heights[n] + rough.mean_along_beam(nm) / NM])
+                    .map(|nm| {
+                        let [at, rough] =
+                            lengths::angstrom_by_division([nm, rough.mean_along_beam(nm)]);
+                        [at, self.heights[n] + rough]
+                    })
                     .collect()
             }
         }

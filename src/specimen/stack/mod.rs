@@ -20,14 +20,13 @@ use super::own_atoms::{OwnAtoms, PlacedSite};
 use super::sites::{DISPLACED_NM, SpecimenSite};
 use super::specimen_trait::{DislocationTruth, LayerTruth, SpecimenFacts, StackTruth};
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::models::stack::edge_dislocation::EdgeDislocation;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::stacked_crystals::{StackedCrystals, StackedMatter};
 use crate::recipe::{CheckedRecipe, StackTable};
 use crate::setting::Setting;
 use crate::structure::lattice::Vec3;
-
-const NM: f64 = 0.1;
 
 /// Lays out the stack of a recipe.
 ///
@@ -43,8 +42,8 @@ pub fn stack(recipe: &CheckedRecipe) -> Result<OwnAtoms> {
         ));
     };
     let around = recipe.field.full_region().grown(BEYOND_FIELD_NM + 2.0 * DISPLACED_NM);
-    let lab = |[low, high]: [f64; 2]| [low / NM, high / NM];
-    let extent = [lab(around.x), lab(around.y), lab([0.0, recipe.field.thickness_nm])];
+    let extent =
+        lengths::angstrom_by_division([around.x, around.y, [0.0, recipe.field.thickness_nm]]);
     let interfaces = Interfaces::new(recipe, table, crystals);
     let reach: f64 = crystals.dislocations.iter().map(|d| d.burgers[0].hypot(d.burgers[1])).sum();
     let mut wide = extent;
@@ -65,7 +64,7 @@ pub fn stack(recipe: &CheckedRecipe) -> Result<OwnAtoms> {
         .zip(kept)
         .filter(|(_, kept)| *kept)
         .map(|(site, _)| {
-            let position_nm = site.position.map(|a| NM * a);
+            let position_nm = lengths::nm(site.position);
             (SpecimenSite { key: 0, position_nm, number: site.number, kind: site.kind }, site.phase)
         })
         .collect();
@@ -103,16 +102,16 @@ fn facts(recipe: &CheckedRecipe, table: &StackTable, crystals: &StackedCrystals)
     let layer = |(n, layer): (usize, &crate::recipe::stacked_crystals::StackedLayer)| LayerTruth {
         turn_deg: table.layers[n].turn_deg.unwrap_or(0.0),
         phase: layer.phase,
-        begin_nm: NM * layer.begin,
-        end_nm: NM * crystals.layers.get(n + 1).map_or(crystals.end, |next| next.begin),
+        begin_nm: lengths::nm(layer.begin),
+        end_nm: lengths::nm(crystals.layers.get(n + 1).map_or(crystals.end, |next| next.begin)),
         strain: match &layer.matter {
             StackedMatter::Crystal(crystal) => crystal.strain,
             StackedMatter::Amorphous(_) => [0.0; 3],
         },
     };
     let dislocation = |d: &EdgeDislocation| DislocationTruth {
-        position_nm: d.position.map(|v| NM * v),
-        burgers_nm: [NM * d.burgers[0], NM * d.burgers[1], 0.0],
+        position_nm: lengths::nm(d.position),
+        burgers_nm: lengths::nm([d.burgers[0], d.burgers[1], 0.0]),
     };
     let truth = StackTruth {
         axis: table.along.axis(),

@@ -4,10 +4,12 @@ use rayon::prelude::*;
 
 use super::filling::{MadeSite, NO_LAYER};
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::models::particles::crystal_particle::{ParticleBody, crystal_particle, volume_per_atom};
 use crate::models::particles::rotation::Rotation;
 use crate::models::particles::{Cluster, build};
 use crate::models::stack::least_distances::{LEAST_SHARE, LeastDistances};
+use crate::plane;
 use crate::recipe::stack_table::{ParticleSide, StackParticles};
 use crate::recipe::stacked_crystals::{
     CheckedParticles, ParticleForm, ParticleOrientation, StackedCrystals,
@@ -23,7 +25,6 @@ use crate::specimen::specimen_trait::ParticleTruth;
 use crate::structure::lattice::Vec3;
 use crate::structure::min_pair_distance;
 
-const NM: f64 = 0.1;
 /// Number of the random draw for diameters.
 const DIAMETER: u32 = 0;
 /// Bits of the number of a particle within its table.
@@ -111,7 +112,7 @@ fn made_particle(
             tilted(rotation, turned, max_tilt_deg, seed, index)
         }
     };
-    let radius = 0.5 * wanted_nm / NM;
+    let radius = lengths::angstrom_by_division(0.5 * wanted_nm);
     let volume = 4.0 / 3.0 * std::f64::consts::PI * radius * radius * radius;
     let own = match &checked.form {
         ParticleForm::Wulff(unit) => {
@@ -141,7 +142,7 @@ fn made_particle(
     Ok(MadeParticle {
         atoms,
         rotation,
-        diameter_nm: NM * libm::cbrt(6.0 * volume / std::f64::consts::PI),
+        diameter_nm: lengths::nm(libm::cbrt(6.0 * volume / std::f64::consts::PI)),
         radius: across + 1e-3,
     })
 }
@@ -154,7 +155,7 @@ fn places(
     made: &[MadeParticle],
     taken: &[Circle],
 ) -> Result<Vec<[f64; 2]>> {
-    let gap = given.gap_nm / NM;
+    let gap = lengths::angstrom_by_division(given.gap_nm);
     let field = recipe.field.full_region();
     let radii: Vec<f64> = made.iter().map(|m| m.radius).collect();
     let named = |k: usize| format!("stack.particles[{}], particle {}", n + 1, k + 1);
@@ -170,14 +171,15 @@ fn places(
             },
         );
     }
-    let centres: Vec<[f64; 2]> = given.positions_nm.iter().map(|at| at.map(|nm| nm / NM)).collect();
+    let centres: Vec<[f64; 2]> =
+        given.positions_nm.iter().copied().map(lengths::angstrom_by_division).collect();
     let mut there = taken.to_vec();
     for (k, (centre, radius)) in centres.iter().zip(radii).enumerate() {
         let circle = Circle { centre: *centre, radius };
         if !there.iter().all(|other| circle.is_clear_of(other, gap)) {
             let expected = format!(
                 "the circle of {:.2} nm about it is nearer than {} nm to the circle about another particle; expected more distance, or a smaller gap_nm",
-                2.0 * NM * radius,
+                lengths::nm(2.0 * radius),
                 given.gap_nm
             );
             return Err(Error::invalid(Setting::Recipe, named(k), expected));
@@ -255,7 +257,7 @@ fn check_height(
     thickness_nm: f64,
 ) -> Result<()> {
     for (k, particle) in laid.iter().enumerate() {
-        let heights = || particle.atoms.iter().map(|(p, _)| NM * p[2]);
+        let heights = || particle.atoms.iter().map(|(p, _)| lengths::nm(p[2]));
         let low = heights().fold(f64::INFINITY, f64::min);
         let high = heights().fold(f64::NEG_INFINITY, f64::max);
         let (out, remedy) = match given.side {
@@ -290,14 +292,14 @@ impl LaidParticle {
     /// Returns the particle with its projection along the beam.
     pub fn held(&self) -> HeldParticle {
         let truth = ParticleTruth {
-            centre_nm: self.centre.map(|a| NM * a),
+            centre_nm: lengths::nm(self.centre),
             diameter_nm: self.diameter_nm,
             morphology: self.shape.to_owned(),
             orientation: self.rotation.0,
         };
         let places = self.atoms.iter().map(|(p, _)| [p[0], p[1]]).collect();
         let corners = grown(&convex_hull(places), [self.centre[0], self.centre[1]], self.edge);
-        let shadow_nm = corners.into_iter().map(|c| c.map(|v| NM * v)).collect();
+        let shadow_nm = corners.into_iter().map(lengths::nm).collect();
         HeldParticle { truth, phase: self.phase, shadow_nm }
     }
 }
@@ -331,9 +333,9 @@ fn convex_hull(mut points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
 /// Moves the corners of a polygon away from its centre.
 fn grown(corners: &[[f64; 2]], centre: [f64; 2], by: f64) -> Vec<[f64; 2]> {
     let moved = |c: &[f64; 2]| {
-        let d = [0, 1].map(|k| c[k] - centre[k]);
+        let d = plane::sub(*c, centre);
         let length = d[0].hypot(d[1]).max(1e-9);
-        [0, 1].map(|k| c[k] + by * d[k] / length)
+        plane::add(*c, d.map(|d| by * d / length))
     };
     corners.iter().map(moved).collect()
 }

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::interfaces::Interfaces;
 use crate::error::Result;
+use crate::lengths;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::stacked_crystals::StackedCrystals;
 use crate::specimen::defects::rules::Defects;
@@ -11,8 +12,6 @@ use crate::specimen::defects::vacancies::DistanceHistogram;
 use crate::specimen::own_atoms::PlacedSite;
 use crate::specimen::sites::{SiteKind, SpecimenSite};
 use crate::structure::lattice::dot;
-
-const NM: f64 = 0.1;
 
 /// The rules for the sites of a stack.
 pub(super) struct PointDefects<'s> {
@@ -65,7 +64,7 @@ impl<'s> PointDefects<'s> {
         if !self.gathered {
             return f64::INFINITY;
         }
-        let at = site.position_nm.map(|nm| nm / NM);
+        let at = lengths::angstrom_by_division(site.position_nm);
         let layers = &self.crystals.layers;
         let of_interfaces = (1..layers.len())
             .map(|n| (at[self.interfaces.axis] - self.interfaces.height(n, at)).abs());
@@ -83,6 +82,6 @@ impl<'s> PointDefects<'s> {
             .iter()
             .map(|line| (at[0] - line.position[0]).hypot(at[1] - line.position[1]));
         let of_planes = of_interfaces.chain(of_faults).chain(of_edges);
-        NM * of_planes.chain(of_lines).fold(f64::INFINITY, f64::min)
+        lengths::nm(of_planes.chain(of_lines).fold(f64::INFINITY, f64::min))
     }
 }

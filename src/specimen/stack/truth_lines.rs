@@ -2,13 +2,13 @@
 
 use super::displaced;
 use super::interfaces::{Extent, Interfaces};
+use crate::lengths;
 use crate::models::stack::fault_planes::FaultAction;
 use crate::recipe::StackTable;
 use crate::recipe::stacked_crystals::StackedCrystals;
 use crate::specimen::specimen_trait::{Boundary, BoundaryKind};
 use crate::structure::lattice::Vec3;
 
-const NM: f64 = 0.1;
 /// Greatest length of a part of a line that dislocations bend, in Angstrom.
 const STEP: f64 = 5.0;
 
@@ -49,7 +49,7 @@ pub fn boundaries(
             let Some(line) = line_of((plane.normal, plane.distance), bounds) else { continue };
             let shift = match plane.action {
                 FaultAction::Mirror => [0.0; 3],
-                FaultAction::Shift(by) => by.map(|v| NM * v),
+                FaultAction::Shift(by) => lengths::nm(by),
             };
             let normal = [plane.normal[0], plane.normal[1]];
             let kind = BoundaryKind::Fault { kind: kind.name(), normal, shift_nm: shift };
@@ -91,7 +91,7 @@ fn in_nm(line: &[[f64; 2]], crystals: &StackedCrystals) -> Vec<[f64; 2]> {
         }));
     }
     points.extend(line.last());
-    points.into_iter().map(|at| displaced(&crystals.dislocations, at).map(|v| NM * v)).collect()
+    points.into_iter().map(|at| lengths::nm(displaced(&crystals.dislocations, at))).collect()
 }
 
 /// Returns the line in which a plane that holds the beam cuts a rectangle.

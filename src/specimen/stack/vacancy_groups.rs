@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use super::filling::MadeSite;
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::models::stack::least_distances::AtomBoxes;
 use crate::recipe::stacked_crystals::{CheckedLines, StackedCrystals};
 use crate::recipe::vacancy_groups_table::{DoubleVacancies, MissingAtoms, VacancyPair};
@@ -14,7 +15,6 @@ use crate::specimen::sites::SiteKind;
 use crate::structure::elements;
 use crate::structure::lattice::{Vec3, norm, subtract};
 
-const NM: f64 = 0.1;
 /// Sites whose (x, y) differ by less belong to one column, in Angstrom.
 const COLUMN_ANGSTROM: f64 = 0.3;
 /// Largest distance in Angstrom of a column of a row from the place that the recipe names.
@@ -136,7 +136,7 @@ pub fn mark_lines(
         for row in 0..line.count {
             let given_place = given.positions_nm.get(row);
             let found = match given_place {
-                Some(at) => Some(columns.row(line, at.map(|nm| nm / NM))),
+                Some(at) => Some(columns.row(line, lengths::angstrom_by_division(*at))),
                 None => random_row(recipe, &columns, line, (n, row), &taken),
             };
             let found = found.filter(|found| found.len() > 1);
@@ -173,7 +173,9 @@ fn random_row(
             let stream = 2 * n as u32 + axis;
             uniform(recipe.seed, Purpose::VacancyGroup, stream, row as u64 * TRIES + attempt)
         };
-        let place = |[low, high]: [f64; 2], share: f64| (low + (high - low) * share) / NM;
+        let place = |[low, high]: [f64; 2], share: f64| {
+            lengths::angstrom_by_division(low + (high - low) * share)
+        };
         let found = columns.row(line, [place(field.x, share(0)), place(field.y, share(1))]);
         let whole = found.len() == line.columns && found.iter().all(|c| !taken.contains(c));
         whole.then_some(found)
@@ -185,7 +187,7 @@ fn no_place(n: usize, row: usize, line: &CheckedLines, given: Option<&[f64; 2]>)
     let expected = match given {
         Some([x, y]) => format!(
             "no row of {symbol} lies within {:.0} nm of ({x}, {y}) nm; expected a place in the layer",
-            NM * NEAREST_ANGSTROM
+            lengths::nm(NEAREST_ANGSTROM)
         ),
         None => format!(
             "line {} finds no place for {} columns of {symbol} that lack no atoms yet; lower per_um2 or length_nm",

@@ -3,6 +3,7 @@
 //! A library cell shows several cells of one lattice, or of one boundary, side by side. Each of these cells holds its own entry of the
 //! pool, in a random order, so that every unit has random neighbours of the same rate.
 
+use crate::plane;
 use crate::specimen::units::occupation::{DefectKind, UnitOccupation};
 use crate::specimen::units::patterns;
 use crate::structure::columns::ColumnCrystal;
@@ -77,7 +78,7 @@ impl LibraryCell {
             let at = [(n % nx) as f64, (n / nx) as f64];
             for (kind, members) in contents.units.kinds.iter().enumerate() {
                 let columns = members.iter().map(|member| {
-                    let shift = [0, 1].map(|k| (at[k] + member.cell[k] as f64) * cell[k]);
+                    let shift = plane::mul(plane::add(at, member.cell.map(|n| n as f64)), cell);
                     let chains = &crystal.columns[member.kind].chains;
                     let site = |d: usize, c: usize| {
                         let [x, y, z] = place(d, member.kind, c);

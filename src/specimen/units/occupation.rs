@@ -1,12 +1,13 @@
 //! The contents of the units of a lattice, drawn from a pool, and the layout of the pool in library cells.
 
 use crate::error::Result;
+use crate::plane;
 use crate::recipe::resolved_recipe::Recipe;
 use crate::recipe::tables::PointDefect;
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::sites::SiteKind;
 use crate::specimen::units::patterns;
-use crate::specimen::units::patterns::DefectPatterns;
+use crate::specimen::units::patterns::{DefectPatterns, UnitSeed};
 use crate::specimen::units::unit_kinds::{UnitKinds, UnitMember};
 use crate::specimen::units::unit_tag::PatternIndex;
 use crate::structure::columns::ColumnCrystal;
@@ -144,7 +145,7 @@ impl UnitOccupation {
     pub(crate) fn unit_of(&self, index: ColumnIndex) -> (usize, usize, ColumnIndex) {
         let (unit, number) = self.units.of_column[index.kind];
         let member = self.units.kinds[unit][number];
-        let cell = [0, 1].map(|k| index.cell[k] - member.cell[k]);
+        let cell = plane::sub(index.cell, member.cell);
         (unit, number, ColumnIndex { kind: self.units.kinds[unit][0].kind, cell, ..index })
     }
 
@@ -170,12 +171,12 @@ impl UnitOccupation {
         around: f64,
         allowed: &[bool],
     ) -> Option<PatternIndex> {
-        let who = (self.seed, index.id());
+        let unit = UnitSeed { seed: self.seed, id: index.id() };
         let bins = bins(rate, around);
         // A bin whose numbers of defects reach as far as the unit needs is preferred to a bin with the right surroundings.
         let found = [2.0, 0.0].into_iter().find_map(|spread| {
             bins.iter().find_map(|&bin| {
-                Some((bin, self.pool.draw(kind, bin, rate, allowed, spread, who)?))
+                Some((bin, self.pool.draw(kind, bin, rate, allowed, spread, unit)?))
             })
         });
         found.map(|(bin, cell)| PatternIndex { bin, kind, cell })
@@ -190,9 +191,9 @@ impl UnitOccupation {
         around: f64,
         defects: &[u16],
     ) -> Option<PatternIndex> {
-        let who = (self.seed, index.id());
+        let unit = UnitSeed { seed: self.seed, id: index.id() };
         bins(rate, around).into_iter().find_map(|bin| {
-            Some(PatternIndex { bin, kind, cell: self.pool.find(kind, bin, defects, who)? })
+            Some(PatternIndex { bin, kind, cell: self.pool.find(kind, bin, defects, unit)? })
         })
     }
 
@@ -205,9 +206,9 @@ impl UnitOccupation {
         (rate, around): (f64, f64),
         (wanted, allowed): (&[u16], &[bool]),
     ) -> Option<PatternIndex> {
-        let who = (self.seed, index.id());
+        let unit = UnitSeed { seed: self.seed, id: index.id() };
         bins(rate, around).into_iter().find_map(|bin| {
-            let cell = self.pool.nearest(kind, bin, (wanted, allowed), who)?;
+            let cell = self.pool.nearest(kind, bin, (wanted, allowed), unit)?;
             Some(PatternIndex { bin, kind, cell })
         })
     }

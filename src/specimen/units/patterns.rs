@@ -207,7 +207,7 @@ impl DefectPatterns {
         self.layout[0] * self.layout[1]
     }
 
-    /// Draws the contents of the unit `id` of a specimen: the cell of its pattern in the bin.
+    /// Draws the contents of a unit: the cell of its pattern in the bin.
     pub(crate) fn draw(
         &self,
         kind: usize,
@@ -215,21 +215,21 @@ impl DefectPatterns {
         rate: f64,
         allowed: &[bool],
         spread: f64,
-        (seed, id): (u64, u64),
+        unit: UnitSeed,
     ) -> Option<usize> {
-        let u = |draw: u32| rng::uniform(seed, Purpose::Pool, draw, id);
-        self.patterns(kind, bin).draw(rate, allowed, spread, [u(0), u(1), u(2)])
+        let draws = [0, 1, 2].map(|draw| unit.uniform(draw));
+        self.patterns(kind, bin).draw(rate, allowed, spread, draws)
     }
 
-    /// Draws a cell of the bin with the defects (ascending) of the unit `id` of a specimen, if there is one.
+    /// Draws a cell of the bin with the defects (ascending) of a unit, if there is one.
     pub(crate) fn find(
         &self,
         kind: usize,
         bin: usize,
         defects: &[u16],
-        (seed, id): (u64, u64),
+        unit: UnitSeed,
     ) -> Option<usize> {
-        self.patterns(kind, bin).find(defects, rng::uniform(seed, Purpose::Pool, 1, id))
+        self.patterns(kind, bin).find(defects, unit.uniform(1))
     }
 
     /// Draws a cell with as many defects as `wanted` (see [`PatternTable::nearest`]).
@@ -238,10 +238,24 @@ impl DefectPatterns {
         kind: usize,
         bin: usize,
         (wanted, allowed): (&[u16], &[bool]),
-        (seed, id): (u64, u64),
+        unit: UnitSeed,
     ) -> Option<usize> {
-        let u = rng::uniform(seed, Purpose::Pool, 1, id);
-        self.patterns(kind, bin).nearest(wanted, allowed, u)
+        self.patterns(kind, bin).nearest(wanted, allowed, unit.uniform(1))
+    }
+}
+
+/// A unit of a specimen, which decides its random draws.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct UnitSeed {
+    /// Seed of the specimen.
+    pub seed: u64,
+    /// Number of the unit.
+    pub id: u64,
+}
+
+impl UnitSeed {
+    fn uniform(self, draw: u32) -> f64 {
+        rng::uniform(self.seed, Purpose::Pool, draw, self.id)
     }
 }
 

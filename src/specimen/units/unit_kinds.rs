@@ -3,6 +3,7 @@
 //! The contents of a unit are drawn as a whole (`super::occupation`), and its patch of the image is simulated as a whole
 //! ([`crate::imaging::mosaic`]).
 
+use crate::plane;
 use crate::structure::columns::ColumnCrystal;
 
 /// Columns nearer than this in projection belong to one unit, in Angstrom.
@@ -70,7 +71,7 @@ fn cluster(crystal: &ColumnCrystal, first: usize) -> Option<Vec<UnitMember>> {
                     let away = column.xy[k] - crystal.columns[from.kind].xy[k] + shift[k] as f64;
                     away * crystal.cell[k]
                 });
-                let member = UnitMember { kind, cell: [0, 1].map(|k| from.cell[k] + shift[k]) };
+                let member = UnitMember { kind, cell: plane::add(from.cell, shift) };
                 if d[0].hypot(d[1]) > SAME_UNIT_ANGSTROM || members.contains(&member) {
                     continue;
                 }

@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn tags_that_speak_of_symmetry_are_told_from_others() {
+    fn tags_of_symmetry_are_distinguished_from_others() {
         for tag in [
             "_space_group_magn_name_bns",
             "_space_group_magn_number_og",

@@ -7,6 +7,7 @@ use super::page::{escape, page};
 use super::{ReportOrigin, number, plot};
 use crate::error::Result;
 use crate::io::WorldFile;
+use crate::lengths;
 use crate::render::{Contrast, Picture};
 use crate::validate::statistics::Ratio;
 use crate::validate::worlds::{Line, Measured, Sameness, WorldComparison};
@@ -176,7 +177,7 @@ fn pictures(worlds: [&WorldFile; 2]) -> Result<String> {
             picture.contrast = Contrast::Range { min, max };
         }
         picture.max_side = 512;
-        picture.pixel_angstrom = Some(10.0 * pixel_nm);
+        picture.pixel_angstrom = Some(lengths::angstrom(*pixel_nm));
         let rendered = picture.render()?;
         let bar = rendered
             .bar_angstrom

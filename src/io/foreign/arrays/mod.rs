@@ -23,6 +23,7 @@ use ndarray::ArrayD;
 use super::length_units::unit_nm;
 use super::named_axes::{NamedAxis, x_and_y};
 use crate::error::{Error, Result};
+use crate::lengths;
 use crate::setting::Setting;
 pub(super) use number_type::NumberType;
 pub(crate) use numpy::unpack as unpack_npz;
@@ -120,7 +121,7 @@ pub(super) fn held(shape: &[usize]) -> std::result::Result<usize, String> {
 impl ArrayAxis {
     /// Converts an axis whose step and origin are in a unit of length; for other axes only the name is kept.
     fn named(axis: &NamedAxis) -> Self {
-        let angstrom = unit_nm(&axis.unit).map(|nm| 10.0 * nm);
+        let angstrom = unit_nm(&axis.unit).map(lengths::angstrom);
         let length = |value: Option<f64>| Some(value? * angstrom?);
         ArrayAxis {
             label: axis.name.clone(),

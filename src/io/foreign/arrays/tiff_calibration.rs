@@ -1,6 +1,7 @@
 //! Reads the size of a pixel of a TIFF: from ImageJ's or OME's description, or from the resolution.
 
 use crate::io::foreign::length_units::unit_nm;
+use crate::lengths;
 
 /// Sides of a pixel along x and y in Angstrom; otherwise a reason, if there is one to report.
 pub(super) type PixelSides = std::result::Result<[f64; 2], Option<String>>;
@@ -54,7 +55,7 @@ fn of_unit(unit: &str, resolution: Resolution) -> PixelSides {
             format!("ImageJ says that its pixels are counted in `{unit}`, which is no length");
         return Err(Some(said));
     };
-    positive(per_unit.map(|n| 10.0 * nm / n))
+    positive(per_unit.map(|n| lengths::angstrom(nm) / n))
 }
 
 /// Returns the sides from the number of pixels in an inch or a centimetre.
@@ -65,7 +66,7 @@ fn of_tags(resolution: Resolution) -> PixelSides {
         Some(CENTIMETRE) => ("cm", 1e7),
         Some(_) => return Err(None),
     };
-    let sides = positive(per_unit.map(|n| 10.0 * nm / n))?;
+    let sides = positive(per_unit.map(|n| lengths::angstrom(nm) / n))?;
     match sides.iter().all(|side| *side <= LARGEST_RESOLVED_ANGSTROM) {
         true => Ok(sides),
         false => Err(Some(format!(
@@ -96,7 +97,7 @@ fn of_ome(element: &str) -> Option<PixelSides> {
         let unit = unit.unwrap_or_else(|| "\u{b5}m".into());
         let no_length =
             || format!("OME says that its pixels are {size} `{unit}`, which is no length");
-        Some(unit_nm(&unit).map(|nm| 10.0 * nm * size).ok_or_else(no_length))
+        Some(unit_nm(&unit).map(|nm| lengths::angstrom(nm) * size).ok_or_else(no_length))
     };
     let (x, y) = (side('X')?, side('Y')?);
     Some(match (x, y) {

@@ -11,6 +11,7 @@ use crate::io::hdf5::hdf5_guard::{
 };
 use crate::io::hdf5::hdf5_open::{self, regular_file};
 use crate::io::hdf5::hdf5_values;
+use crate::lengths;
 
 /// Kind of a file of images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -140,7 +141,7 @@ impl StoredImages {
         let step = match self.kind {
             ImageKind::Simulated => pair(dataset, "sampling_angstrom").map(|[y, x]| [x, y]),
             ImageKind::Recording => {
-                number(&self.file, "pixel_size_nm").map(|nm: f64| [10.0 * nm; 2])
+                number(&self.file, "pixel_size_nm").map(|nm: f64| [lengths::angstrom(nm); 2])
             }
         };
         let positive = |step: &[f64; 2]| step.iter().all(|s| (1e-5..1e7).contains(s));

@@ -13,6 +13,7 @@ use crate::error::{Error, Result};
 use crate::io::hdf5::hdf5_guard::{self, check_storage};
 use crate::io::hdf5::hdf5_open::{self, regular_file};
 use crate::io::hdf5::hdf5_values::{self, Plain};
+use crate::plane;
 use crate::recipe::OVERVIEW_FACTOR;
 use crate::setting::Setting;
 
@@ -93,8 +94,9 @@ impl WorldFile {
         };
         let m = &self.metadata;
         let at = [first[0] + row, first[1] + column];
-        let tile =
-            [0, 1].map(|k| (at[k] / (m.tile_size_px - m.overlap_px)).min(m.grid_shape[k] - 1));
+        let tile = plane::per_axis(at, m.grid_shape, |px, tiles| {
+            (px / (m.tile_size_px - m.overlap_px)).min(tiles - 1)
+        });
         let group = if clean { schema::CLEAN } else { schema::TILES };
         let (name, group) = (schema::tile_name(tile[0], tile[1]), self.of_images(group));
         let what = format!(

@@ -12,14 +12,14 @@ fn warnings(folder: &Path, arguments: &[&str]) -> Vec<String> {
 
 /// The one that holds a text.
 #[track_caller]
-fn told(folder: &Path, arguments: &[&str], part: &str) -> String {
+fn printed(folder: &Path, arguments: &[&str], part: &str) -> String {
     let all = warnings(folder, arguments);
     let found = all.iter().find(|w| w.contains(part));
     found.unwrap_or_else(|| panic!("{arguments:?}: no `{part}` in {all:?}")).clone()
 }
 
 #[test]
-fn crops_narrower_than_the_probe_are_told() {
+fn crops_narrower_than_the_probe_give_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let run = |more: &[&'static str]| {
@@ -59,7 +59,7 @@ fn a_cell_is_strained_within_the_limit_and_the_file_says_so() {
     let refused = fails(stemgen(here).args(["simulate", &relaxed, "--max-strain", "0.01"]));
     assert!(refused.contains("allow more strain") && refused.contains("--max-strain"), "{refused}");
     let arguments = [&relaxed, "--max-strain", "0.1%"];
-    let warning = told(here, &arguments, "the cell was strained by 0.0");
+    let warning = printed(here, &arguments, "the cell was strained by 0.0");
     assert!(warning.contains("to make its angles 90 degrees"), "{warning}");
     let mut command = stemgen(here);
     command.arg("simulate").args(arguments).args(["--scan-points", "2,2", "--quiet", "-o", "s.h5"]);
@@ -83,12 +83,12 @@ fn four_indices_are_those_of_a_hexagonal_lattice() {
 }
 
 #[test]
-fn azimuths_in_degrees_and_thicknesses_of_one_slice_are_told() {
+fn azimuths_in_degrees_and_thicknesses_of_one_slice_give_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let si = &file("structures/si.cif");
-    told(here, &[si, "--aberration", "C12=30@45"], "45 degrees are 0.7854 rad");
-    told(here, &[si, "--thicknesses", "2.6,2.8"], "images are recorded at 2.7");
+    printed(here, &[si, "--aberration", "C12=30@45"], "45 degrees are 0.7854 rad");
+    printed(here, &[si, "--thicknesses", "2.6,2.8"], "images are recorded at 2.7");
 }
 
 #[test]
