@@ -14,8 +14,8 @@ use num_complex::Complex32;
 const LEAST_SHARE: f64 = 0.05;
 
 /// The factors by which the images on each detector are multiplied, so that vacuum is right. `in_windows` are the shares of the beam that
-/// detectors in windows see without a specimen. A factor is 1 where nothing is cropped, where
-/// the settings do not ask for the correction, and for detectors that see little of the direct beam.
+/// detectors in windows see without a specimen. A factor is 1 where nothing is cropped, where the settings do not ask for the correction, and
+/// for detectors that see little of the direct beam.
 pub(super) fn direct_beam_factors(plan: &Plan, in_windows: Option<Vec<f64>>) -> Vec<f64> {
     let settings = &plan.settings;
     let shares: Vec<f64> = settings.detectors.iter().map(|d| direct_share(settings, d)).collect();

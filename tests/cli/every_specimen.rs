@@ -54,7 +54,7 @@ fn tiles_and_live_worlds_show_stacks_and_own_atoms() {
         let damage = format!("damage.radiolysis_barn.{element}=2000");
         let mut live = specimen("live");
         live.args(["--set", &damage, "--at", "1.2,1.2", "--zoom", "1", "--dose", "2e4"]);
-        let told = json(live.args(["--dose-series", "2", "-o", "s.h5", "--overwrite", "--quiet"]));
-        assert!(told["lost"][element].as_u64().unwrap() > 0, "{told}");
+        let shown = json(live.args(["--dose-series", "2", "-o", "s.h5", "--overwrite", "--quiet"]));
+        assert!(shown["lost"][element].as_u64().unwrap() > 0, "{shown}");
     }
 }
