@@ -443,8 +443,8 @@ impl<'a> Multislice<'a> {
         path
     }
 
-    /// Propagates probes of a focus, given by their coefficients, along a path; `record(probe, r, psi, scale)` receives the Fourier coefficients at the r-th
-    /// recorded thickness, whose squared moduli times `scale` are fractions of the beam, weighted by the focus.
+    /// Propagates probes of a focus, given by their coefficients, along a path; `record(probe, r, psi, scale)` receives the Fourier
+    /// coefficients at the r-th recorded thickness, whose squared moduli times `scale` are fractions of the beam, weighted by the focus.
     fn propagate(
         &self,
         MultisliceWorkspace { waves, copy, step, .. }: &mut MultisliceWorkspace,

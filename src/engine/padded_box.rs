@@ -72,7 +72,8 @@ fn times_the_window(plan: &Plan, least_width: f64) -> usize {
 }
 
 impl PaddedBox {
-    /// Makes the box around the windows of a plan. Waves are kept up to `full_k` (1/Angstrom), and the box's frequencies up to `most_k` along each axis.
+    /// Makes the box around the windows of a plan. Waves are kept up to `full_k` (1/Angstrom), and the box's frequencies up to `most_k` along
+    /// each axis. `least_width` is in units of the wavelength over the semiangle.
     /// `stride` is the row stride of waves on the window's grid.
     pub fn new(plan: &Plan, stride: usize, [full_k, most_k]: [f64; 2], least_width: f64) -> Self {
         let (window, times) = (plan.wave_grid, times_the_window(plan, least_width));
