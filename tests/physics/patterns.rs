@@ -460,7 +460,8 @@ fn exit_waves_are_those_of_abtem() {
         let down = Array2::from_shape_fn((2 * kept as usize + 1, ny), |(k, y)| {
             turn(k as i64 - kept, y, ny)
         });
-        let found = down.dot(&wave).dot(&across);
+        let half: Array2<Complex64> = down.dot(&wave);
+        let found: Array2<Complex64> = half.dot(&across);
         let (mut squares, mut all) = (0.0, 0.0);
         for ((row, column), v) in found.indexed_iter() {
             let k2 = (row as i64 - kept).pow(2) + (column as i64 - kept).pow(2);
