@@ -37,7 +37,7 @@ macro_rules! atoms {
     };
 }
 
-const FILES: [File; 12] = golden![
+const FILES: [File; 13] = golden![
     "srtio3_001",
     "srtio3_001_aberrated",
     "srtio3_001_optics",
@@ -46,6 +46,7 @@ const FILES: [File; 12] = golden![
     "si_110_prism_f2",
     "exit_intensity",
     "srtio3_patterns",
+    "srtio3_waves",
     "potential_srtio3",
     "displaced_refined",
     "displaced_bandlimit",
