@@ -107,7 +107,8 @@ impl<'a> BrightDetectors<'a> {
         }
     }
 
-    /// The share of the beam that falls on each detector without a specimen; for other detectors 0. `bins` and `stride` are those of waves.
+    /// The share of the beam that falls on each detector without a specimen; for other detectors 0. `bins` and `stride` describe the waves, as
+    /// in [`BrightDetectors::new`].
     pub fn without_specimen(&self, bins: &[(usize, usize)], stride: usize) -> Vec<f64> {
         let plan = self.plan;
         let mut w = self.workspace();
