@@ -119,7 +119,7 @@ pub struct NumericsArgs {
     /// With PRISM: keep exit waves on the grid of the simulation [default: on a coarser grid that holds the band limit]
     #[arg(long)]
     pub full_exit_grid: bool,
-    /// Leave out the scattering of the tail, the part of the probe outside its window or cell
+    /// Leave out the tail, the part of the probe outside its window or cell: its scattering, and its wave on detectors at low angles
     #[arg(long)]
     pub no_tail: bool,
 }
