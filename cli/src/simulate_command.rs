@@ -233,6 +233,9 @@ impl SimulateRun {
     /// Checks and simulates, or prints the plan. `inputs` are files that must not be replaced. Returns whether the images equal the
     /// images of the file that they are compared with; true without such a file.
     pub fn run(mut self, inputs: &[PathBuf], reporter: &Reporter) -> anyhow::Result<bool> {
+        if self.results.exit_waves {
+            self.job.check_exit_waves()?;
+        }
         let files = self.side_files();
         if !self.common.dry_run {
             let outputs = std::iter::once(&self.output).chain(files.paths());

@@ -72,7 +72,7 @@ pub use settings::{
 };
 pub(crate) use simulate::elements;
 pub use simulate::{Simulation, exit_wave, probe_exit_waves, simulate};
-pub(crate) use simulate::{diffraction, mean_diffraction};
+pub(crate) use simulate::{diffraction, has_exit_waves, mean_diffraction};
 pub use single_scattering::{ScatteringMap, SingleScattering};
 pub use source_size::Source;
 pub(crate) use source_size::SourceBlur;

@@ -353,6 +353,14 @@ pub fn probe_exit_waves(
     configuration: u32,
     progress: &dyn Progress,
 ) -> Result<Array4<Complex32>> {
+    has_exit_waves(plan)?;
+    let builder = TransmissionBuilder::new(plan, &elements(sites))?;
+    let transmission = builder.build(sites, configuration, progress)?;
+    Multislice::lending(plan).exit_waves(&transmission, places_angstrom, progress)
+}
+
+/// Refuses plans without exit waves of probes.
+pub(crate) fn has_exit_waves(plan: &Plan) -> Result<()> {
     if plan.settings.algorithm != Algorithm::Multislice {
         let expected = "exit waves are made by multislice on the full grid; leave the engine out, or name `multislice`";
         return Err(Error::invalid(crate::Setting::Algorithm, plan.settings.algorithm, expected));
@@ -363,9 +371,7 @@ pub fn probe_exit_waves(
             "a wave has one focus; leave the focal spread out, or simulate a series of defocus";
         return Err(Error::invalid(crate::Setting::FocalSpreadAngstrom, spread, expected));
     }
-    let builder = TransmissionBuilder::new(plan, &elements(sites))?;
-    let transmission = builder.build(sites, configuration, progress)?;
-    Multislice::lending(plan).exit_waves(&transmission, places_angstrom, progress)
+    Ok(())
 }
 
 /// The atomic numbers of the elements in some sites, ascending.

@@ -13,7 +13,8 @@ use super::request::SimulationRequest;
 use super::time_estimate::threads;
 use crate::engine::{
     AccuracyFound, Cost, Images, Plan, ProbeRaster, Scan, ScanPart, SourceBlur, check_memory,
-    mean_diffraction, probe_exit_waves, simulate_part, simulate_places, simulate_series,
+    has_exit_waves, mean_diffraction, probe_exit_waves, simulate_part, simulate_places,
+    simulate_series,
 };
 use crate::error::{Error, Result};
 use crate::files::Shard;
@@ -358,17 +359,9 @@ impl SimulationJob {
         force: bool,
         progress: &dyn Progress,
     ) -> Result<Vec<Array5<Complex32>>> {
-        self.needs_images()?;
+        self.check_exit_waves()?;
         let [x, y, _] = self.specimen.size_angstrom;
         plausibility::check_places(places_angstrom, [x, y])?;
-        if let Some(source) = self.request.microscope.source_size_angstrom {
-            let expected = "a wave comes from a point source; leave the size of the source out";
-            return Err(Error::invalid(Setting::SourceSizeAngstrom, source, expected));
-        }
-        if !self.specimen.more_frames.is_empty() {
-            let expected = "exit waves are of one structure; leave the frames out";
-            return Err(Error::invalid(Setting::Frames, self.specimen.frames().len(), expected));
-        }
         let plans = self.plans_of_single_probes()?;
         let values = |plan: &Plan| {
             let [nx, ny] = plan.wave_grid.points;
@@ -397,6 +390,23 @@ impl SimulationJob {
         let waves = plans.iter().map(of_plan).collect();
         progress.finish();
         waves
+    }
+
+    /// Refuses requests without exit waves of probes, as [`SimulationJob::exit_waves`] does, before anything is simulated.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`].
+    pub fn check_exit_waves(&self) -> Result<()> {
+        self.needs_images()?;
+        if let Some(source) = self.request.microscope.source_size_angstrom {
+            let expected = "a wave comes from a point source; leave the size of the source out";
+            return Err(Error::invalid(Setting::SourceSizeAngstrom, source, expected));
+        }
+        if !self.specimen.more_frames.is_empty() {
+            let expected = "exit waves are of one structure; leave the frames out";
+            return Err(Error::invalid(Setting::Frames, self.specimen.frames().len(), expected));
+        }
+        self.plans_of_single_probes()?.iter().try_for_each(has_exit_waves)
     }
 
     fn needs_images(&self) -> Result<()> {

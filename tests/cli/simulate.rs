@@ -58,7 +58,7 @@ fn exit_waves_of_probes_are_a_numpy_array() {
         "--scan-points",
         "3,2",
         "--defocus",
-        "0,50",
+        "0:50:50",
         "--phonons",
         "2",
         "--sigma",
