@@ -437,6 +437,7 @@ fn patterns_are_those_of_abtem() {
 fn exit_waves_are_those_of_abtem() {
     let g = Golden::load("srtio3_waves").unwrap();
     let mut settings = Settings { probe_step: ProbeStep::Scan, ..g.settings() };
+    settings.detectors = vec![Detector::new("whole", 0.0, 100.0)];
     settings.optics.aberrations.add_defocus(g.json["defocus_A"].as_f64().unwrap());
     let plan = g.plan(&settings).unwrap();
     let waves = probe_exit_waves(&plan, &g.sites, &g.positions(), 0, &Silent).unwrap();
