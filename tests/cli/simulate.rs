@@ -67,7 +67,7 @@ fn exit_waves_of_probes_are_a_numpy_array() {
     let summary = json(command.args(["--exit-waves"]));
     assert!(summary["exit_waves"].as_str().unwrap().ends_with("si_exit_waves.npy"), "{summary}");
     let printed = python("check_waves.py", &[&folder.path().join("si_exit_waves.npy")]);
-    assert_eq!(printed, "complex64 (2, 2, 2, 3, 1, 55, 55)\n");
+    assert_eq!(printed, "complex64 (2, 2, 2, 3, 1, 60, 60)\n");
     let wrong =
         silicon(folder.path()).args(["--exit-waves", "--engine", "window"]).output().unwrap();
     assert!(!wrong.status.success() && stderr(&wrong).contains("full grid"), "{}", stderr(&wrong));

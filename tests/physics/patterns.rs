@@ -432,7 +432,7 @@ fn patterns_are_those_of_abtem() {
     }
 }
 
-/// Complex Fourier coefficients of exit waves of abTEM 1.0.11, to 40 mrad: rms difference below 0.2 % of the rms of the wave, with its phase.
+/// Complex Fourier coefficients of exit waves of abTEM 1.0.11, to 40 mrad, with their phase. Measured: 4e-6 of the wave, rms.
 #[test]
 fn exit_waves_are_those_of_abtem() {
     let g = Golden::load("srtio3_waves").unwrap();
@@ -473,7 +473,7 @@ fn exit_waves_are_those_of_abtem() {
         }
         let off = (squares / all).sqrt();
         println!("{probe}: {off:.2e} of the wave");
-        assert!(off < 2e-3, "{probe}: {off}");
+        assert!(off < 5e-5, "{probe}: {off}");
     }
 }
 
