@@ -5,7 +5,7 @@
 //! scattered (`probe_tail`).
 
 use super::accuracy::LEAST_INNER_SEMIANGLES;
-use super::coherent_tail::{CoherentTail, tail_angle};
+use super::coherent_tail::{CoherentTail, full_k};
 use super::grid::Grid;
 use super::multislice::PathPart;
 use super::padded_box::{PaddedBox, PaddedWorkspace, SplitWorkspace, low_pass};
@@ -55,12 +55,6 @@ fn reads_tail(detector: &Detector, plan: &Plan) -> bool {
     plan.has_windows() && asked && sees_tail(detector, &settings.optics)
 }
 
-/// The frequency in 1/Angstrom up to which the tail is added in full.
-fn full_k(plan: &Plan) -> f64 {
-    let [x, y] = plan.wave_grid.extent_angstrom;
-    (tail_angle(plan, x.min(y)) / plan.settings.optics.wavelength_angstrom()).min(plan.band_limit)
-}
-
 /// The detectors of a plan on the frequencies of its wave grid, with `stride` elements from row to row: whole, or without the angles that
 /// [`BrightDetectors`] read from the box.
 pub(super) fn window_map(plan: &Plan, stride: usize) -> DetectorMap {
@@ -70,7 +64,9 @@ pub(super) fn window_map(plan: &Plan, stride: usize) -> DetectorMap {
         true => 1.0 - low_pass(theta_mrad / per_k, full_k).powi(2),
         false => 1.0,
     };
-    plan.shared_detector_map(&plan.wave_grid, stride, plan.detector_ramp_mrad(), share)
+    let grid = plan.wave_grid;
+    let k = |iy, ix| grid.k(iy, ix);
+    plan.detector_map_of(&grid, stride, plan.detector_ramp_mrad(), share, k)
 }
 
 impl<'a> BrightDetectors<'a> {

@@ -116,12 +116,13 @@ impl PaddedBox {
     }
 }
 
-/// The angle in radians up to which the coherent tail of a window of `width` (Angstrom) is added.
-pub(super) fn tail_angle(plan: &Plan, width: f64) -> f64 {
+/// The frequency in 1/Angstrom up to which the coherent tail of a plan's windows is added in full.
+pub(super) fn full_k(plan: &Plan) -> f64 {
+    let [x, y] = plan.wave_grid.extent_angstrom;
     let thickness = plan.thicknesses_angstrom().into_iter().fold(0.0, f64::max);
     let least = 1.5e-3 * plan.settings.optics.semiangle_mrad;
-
-    (TAIL_REACH * width / thickness.max(1e-3)).max(least)
+    let angle = (TAIL_REACH * x.min(y) / thickness.max(1e-3)).max(least);
+    (angle / plan.settings.optics.wavelength_angstrom()).min(plan.band_limit)
 }
 
 /// The product of the slices' mean transmissions around a window, up to each recorded thickness.

@@ -13,17 +13,20 @@ use num_complex::Complex32;
 /// Smallest share of the beam, without a specimen, on a detector that is corrected. Detectors with less see scattered electrons.
 const LEAST_SHARE: f64 = 0.05;
 
-/// The factors by which the images on each detector are multiplied, so that vacuum is right. `in_windows` are the shares of the beam that
+/// The factors by which the images on each detector are multiplied, so that vacuum is right. `in_windows` makes the shares of the beam that
 /// detectors in windows see without a specimen. A factor is 1 where nothing is cropped, where the settings do not ask for the correction, and
 /// for detectors that see little of the direct beam.
-pub(super) fn direct_beam_factors(plan: &Plan, in_windows: Option<Vec<f64>>) -> Vec<f64> {
+pub(super) fn direct_beam_factors(
+    plan: &Plan,
+    in_windows: impl FnOnce() -> Option<Vec<f64>>,
+) -> Vec<f64> {
     let settings = &plan.settings;
     let shares: Vec<f64> = settings.detectors.iter().map(|d| direct_share(settings, d)).collect();
     let cropped = settings.large_probe_box() && settings.tail_correction;
     if !(cropped && settings.direct_beam) || shares.iter().all(|share| *share < LEAST_SHARE) {
         return vec![1.0; shares.len()];
     }
-    let found = in_windows.unwrap_or_else(|| found_in_the_middle(plan));
+    let found = in_windows().unwrap_or_else(|| found_in_the_middle(plan));
     let factor = |(share, found): (&f64, f64)| match *share >= LEAST_SHARE && found > 0.0 {
         true => share / found,
         false => 1.0,

@@ -192,21 +192,11 @@ impl Plan {
 
     /// The detectors on a diffraction pattern of `grid`, `stride` elements from row to row.
     pub(super) fn detector_map(&self, grid: &Grid, stride: usize, ramp_mrad: f64) -> DetectorMap {
-        self.shared_detector_map(grid, stride, ramp_mrad, |_, _| 1.0)
+        self.detector_map_of(grid, stride, ramp_mrad, |_, _| 1.0, |iy, ix| grid.k(iy, ix))
     }
 
-    /// The map of [`Plan::detector_map`], where `share(detector, theta_mrad)` of the electrons at an angle are counted.
-    pub(super) fn shared_detector_map(
-        &self,
-        grid: &Grid,
-        stride: usize,
-        ramp_mrad: f64,
-        share: impl Fn(&Detector, f64) -> f64,
-    ) -> DetectorMap {
-        self.detector_map_of(grid, stride, ramp_mrad, share, |iy, ix| grid.k(iy, ix))
-    }
-
-    /// The map of [`Plan::shared_detector_map`] for a pattern with `k(row, column)` in 1/Angstrom.
+    /// The map of [`Plan::detector_map`] for a pattern with `k(row, column)` in 1/Angstrom, where `share(detector, theta_mrad)` of the
+    /// electrons at an angle are counted.
     pub(super) fn detector_map_of(
         &self,
         grid: &Grid,

@@ -62,7 +62,7 @@ impl<'a> LensEngine<'a> {
             Algorithm::Prism { .. } => WaveEngine::Prism(Box::new(Prism::new(plan))),
             _ => WaveEngine::Multislice(Box::new(Multislice::new(plan))),
         };
-        let in_windows = match &engine {
+        let in_windows = || match &engine {
             WaveEngine::Multislice(multislice) => multislice.seen_without_specimen(),
             WaveEngine::Prism(_) => None,
         };

@@ -10,11 +10,10 @@ use super::stacked_crystals::{
 };
 use super::tables::Field;
 use super::vacancy_groups_table::{StackEdge, VacancyLines};
+use crate::lengths;
 use crate::structure::lattice::{Vec3, dot, norm, row_times};
 use crate::structure::{direction, elements};
 
-/// Angstrom in a nm.
-const PER_NM: f64 = 10.0;
 /// Square nm in a square micrometre.
 const NM2_PER_UM2: f64 = 1e6;
 /// Largest number of rows of a table.
@@ -55,7 +54,7 @@ fn edge(
     layer: &StackedLayer,
 ) -> Checked<LayerEdge> {
     let key = |name: &str| item_key("edges", n, name);
-    let [x, y] = given.position_nm.map(|nm| PER_NM * nm);
+    let [x, y] = lengths::angstrom(given.position_nm);
     let (text, crystal) = match (&given.plane, given.angle_deg, crystal) {
         (Some(text), None, Some(crystal)) => (text, crystal),
         (None, Some(angle), _) => {
@@ -122,7 +121,7 @@ fn lines(
         return fault(&key("layer"), given.layer, expected);
     }
     let step = step(&key("direction"), &given.direction, crystal)?;
-    let columns = (PER_NM * given.length_nm / norm(step)).round().max(2.0) as usize;
+    let columns = (lengths::angstrom(given.length_nm) / norm(step)).round().max(2.0) as usize;
     let [x, y, _] = turned(step, layer);
     let element = elements::atomic_number(&given.element).unwrap_or(0);
     let count = rows(n, given, field)?;

@@ -1,6 +1,6 @@
 //! Propagates the probes of a scan, and reads their patterns.
 
-use super::super::coherent_tail::{CoherentTail, SharedWaves, mean_transmissions, tail_angle};
+use super::super::coherent_tail::{CoherentTail, SharedWaves, full_k, mean_transmissions};
 use super::super::multislice::{Multislice, MultisliceWorkspace, PathPart};
 use super::super::padded_box::{OF_PATTERNS, PaddedBox, PaddedWorkspace, SplitWorkspace};
 use super::super::plan::Plan;
@@ -97,7 +97,7 @@ impl PatternReach {
         let window = plan.wave_grid;
         let width = window.extent_angstrom[0].min(window.extent_angstrom[1]);
         let full_k = match plan.has_windows() {
-            true => (tail_angle(plan, width) / wavelength).min(plan.band_limit),
+            true => full_k(plan),
             false => plan.band_limit,
         };
         let boxed = |full_k: f64, edge: f64| {
