@@ -5,7 +5,7 @@
 //! scattered (`probe_tail`).
 
 use super::accuracy::LEAST_INNER_SEMIANGLES;
-use super::coherent_tail::{CoherentTail, full_k};
+use super::coherent_tail::{CoherentTail, full_k, least_full_k};
 use super::grid::Grid;
 use super::multislice::PathPart;
 use super::padded_box::{PaddedBox, PaddedWorkspace, SplitWorkspace, low_pass};
@@ -55,11 +55,26 @@ fn reads_tail(detector: &Detector, plan: &Plan) -> bool {
     plan.has_windows() && asked && sees_tail(detector, &settings.optics)
 }
 
+/// The largest frequency (1/Angstrom) of the detectors that read the tail; `None` if there are none.
+fn outermost_k(plan: &Plan) -> Option<f64> {
+    let detectors = plan.settings.detectors.iter().filter(|d| reads_tail(d, plan));
+    let outer = detectors.map(|d| d.outer_mrad).reduce(f64::max)?;
+    let [dx, dy] = plan.wave_grid.dk();
+    Some(1e-3 * outer / plan.settings.optics.wavelength_angstrom() + dx.max(dy))
+}
+
+/// The frequency (1/Angstrom) up to which the tail is added in full: in thin specimens it would reach far beyond the detectors, at the cost
+/// of a fine box.
+fn reach_k(plan: &Plan) -> f64 {
+    let needed = outermost_k(plan).unwrap_or(0.0).max(least_full_k(plan));
+    full_k(plan).min(needed)
+}
+
 /// The detectors of a plan on the frequencies of its wave grid, with `stride` elements from row to row: whole, or without the angles that
 /// [`BrightDetectors`] read from the box.
 pub(super) fn window_map(plan: &Plan, stride: usize) -> DetectorMap {
     let per_k = 1e3 * plan.settings.optics.wavelength_angstrom();
-    let full_k = full_k(plan);
+    let full_k = reach_k(plan);
     let share = |detector: &Detector, theta_mrad: f64| match reads_tail(detector, plan) {
         true => 1.0 - low_pass(theta_mrad / per_k, full_k).powi(2),
         false => 1.0,
@@ -73,14 +88,9 @@ impl<'a> BrightDetectors<'a> {
     /// The detectors of a plan that read the tail; `None` if there are none. `bins` (row, column) of waves, with `stride` elements from row
     /// to row, contain probes.
     pub fn new(plan: &'a Plan, bins: &[(usize, usize)], stride: usize) -> Option<Self> {
-        let detectors = plan.settings.detectors.iter().filter(|d| reads_tail(d, plan));
-        let outer = detectors.map(|d| d.outer_mrad).reduce(f64::max)?;
-        let per_k = 1e3 * plan.settings.optics.wavelength_angstrom();
+        let most_k = outermost_k(plan)?;
         let window = plan.wave_grid;
-        let [dx, dy] = window.dk();
-        let step = dx.max(dy);
-        let padded =
-            PaddedBox::new(plan, stride, [full_k(plan), outer / per_k + step], LEAST_WIDTH);
+        let padded = PaddedBox::new(plan, stride, [reach_k(plan), most_k], LEAST_WIDTH);
         let reach = padded.reach;
         let grid = Grid { points: padded.samples(), extent_angstrom: padded.extent_angstrom() };
         let share = |d: &Detector, _| f64::from(u8::from(reads_tail(d, plan)));

@@ -120,9 +120,16 @@ impl PaddedBox {
 pub(super) fn full_k(plan: &Plan) -> f64 {
     let [x, y] = plan.wave_grid.extent_angstrom;
     let thickness = plan.thicknesses_angstrom().into_iter().fold(0.0, f64::max);
-    let least = 1.5e-3 * plan.settings.optics.semiangle_mrad;
-    let angle = (TAIL_REACH * x.min(y) / thickness.max(1e-3)).max(least);
-    (angle / plan.settings.optics.wavelength_angstrom()).min(plan.band_limit)
+    let angle = TAIL_REACH * x.min(y) / thickness.max(1e-3);
+    (angle / plan.settings.optics.wavelength_angstrom())
+        .max(least_full_k(plan))
+        .min(plan.band_limit)
+}
+
+/// The tail is added in full at least up to 1.5 semiangles, here in 1/Angstrom.
+pub(super) fn least_full_k(plan: &Plan) -> f64 {
+    let optics = &plan.settings.optics;
+    1.5e-3 * optics.semiangle_mrad / optics.wavelength_angstrom()
 }
 
 /// The product of the slices' mean transmissions around a window, up to each recorded thickness.
