@@ -292,12 +292,15 @@ pub(super) fn low_bins(plan: &Plan, grid: &Grid) -> Vec<(usize, usize)> {
 
 /// The probe at the origin and the entrance surface on `grid`, normalised by the settings: bins (row, column) within the aperture, and
 /// amplitudes.
-fn aperture(plan: &Plan, grid: &Grid) -> Vec<((usize, usize), Complex64)> {
+pub(super) fn aperture(plan: &Plan, grid: &Grid) -> Vec<((usize, usize), Complex64)> {
     let optics = &plan.settings.optics;
     let (ny, nx) = grid.shape();
     let mut lens = Vec::new();
-    for iy in 0..ny {
-        for ix in 0..nx {
+    let [dx, dy] = grid.dk();
+    let reach = 1e-3 * optics.semiangle_mrad / optics.wavelength_angstrom() + 2.0 * (dx + dy);
+    let columns: Vec<usize> = (0..nx).filter(|ix| grid.k(0, *ix)[0].abs() <= reach).collect();
+    for iy in (0..ny).filter(|iy| grid.k(*iy, 0)[1].abs() <= reach) {
+        for &ix in &columns {
             let amplitude = optics.transfer(grid.k(iy, ix), grid.dk());
             if amplitude != Complex64::ZERO {
                 lens.push(((iy, ix), amplitude));
@@ -336,10 +339,10 @@ pub(super) fn repeated(plan: &Plan, cell: &Grid) -> Grid {
     }
 }
 
-/// The probe in real space at `position` (Angstrom) on `grid`, the box in which it is made. The result is an array of `fft`, the transform
-/// of this grid.
+/// The probe in real space at `position` (Angstrom) on `grid`, the box in which it is made, from its [`aperture`]. The result is an array of
+/// `fft`, the transform of this grid.
 pub(super) fn probe_in_box(
-    plan: &Plan,
+    lens: &[((usize, usize), Complex64)],
     grid: &Grid,
     position: [f64; 2],
     fft: &Fft2,
@@ -348,10 +351,11 @@ pub(super) fn probe_in_box(
     let phases =
         plane::per_axis(plane::div(position, grid.extent_angstrom), grid.points, shift_phases);
     let mut wave = fft.buffer();
-    for ((iy, ix), a) in aperture(plan, grid) {
+    for &((iy, ix), a) in lens {
         wave[iy * fft.stride() + ix] = single(a * phases[0][ix] * phases[1][iy]);
     }
-    fft.inverse(&mut wave, scratch);
+    let highest = lens.iter().map(|((iy, _), _)| frequency(*iy, grid.points[1]).unsigned_abs());
+    fft.inverse_of_low_rows(&mut wave, highest.max().unwrap_or(0) as usize, scratch);
     wave
 }
 
@@ -384,7 +388,8 @@ mod tests {
         let centre = window_centre(&plan);
         for offset in [[0.0, 0.0], [1.31, -0.4], [-1.5, 1.52]] {
             let position = [centre[0] + offset[0], centre[1] + offset[1]];
-            let wave = probe_in_box(&plan, &large, position, &fft, &mut fft.scratch());
+            let lens = aperture(&plan, &large);
+            let wave = probe_in_box(&lens, &large, position, &fft, &mut fft.scratch());
             let mut cut = small.buffer();
             for y in 0..ny {
                 cut[y * small.stride()..][..nx].copy_from_slice(&wave[y * fft.stride()..][..nx]);

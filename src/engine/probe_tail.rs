@@ -8,7 +8,7 @@
 use super::accuracy::LEAST_INNER_SEMIANGLES;
 use super::grid::Grid;
 use super::plan::Plan;
-use super::probe::{probe_in_box, repeated};
+use super::probe::{aperture, probe_in_box, repeated};
 use super::probe_patches::{ProbePatches, window_centre};
 use super::probe_scan::ProbePlaces;
 use super::single_precision::single;
@@ -33,8 +33,8 @@ fn applies(detector: &Detector, plan: &Plan) -> bool {
 /// The tails of a plan's probes.
 pub(super) struct ProbeTail<'a> {
     plan: &'a Plan,
-    /// The plan at each focus, and its weight.
-    foci: Vec<(f64, Plan)>,
+    /// The aperture at each focus in the box `around`, with the weight of the focus.
+    foci: Vec<(f64, Vec<((usize, usize), Complex64)>)>,
     /// The cell.
     cell: TailGrid,
     /// The box in which probes are made: the cell, repeated.
@@ -57,7 +57,9 @@ impl<'a> ProbeTail<'a> {
         let points = extent_angstrom.map(|l| good_size((l / PIXEL_ANGSTROM).ceil() as usize, 1));
         let grid = Grid { points, extent_angstrom };
         let (cell, around) = (TailGrid::new(grid), TailGrid::new(repeated(plan, &grid)));
-        Some(ProbeTail { plan, foci: plan.at_foci(), cell, around })
+        let lens = |(weight, plan): (f64, Plan)| (weight, aperture(&plan, &around.grid));
+        let foci = plan.at_foci().into_iter().map(lens).collect();
+        Some(ProbeTail { plan, foci, cell, around })
     }
 
     /// The intensities that the tails add, as fractions of the beam: (probe, recorded thickness, detector), row-major.
@@ -75,9 +77,10 @@ impl<'a> ProbeTail<'a> {
         let atoms: Vec<(usize, Vec<Buffer>)> = atoms.collect::<Result<_>>()?;
         let values = alike.par_iter().map(|(offset, probes)| {
             let mut scratch = (self.cell.fft.scratch(), self.around.fft.scratch());
-            let at_focus = |(weight, plan)| (weight, self.outside(plan, *offset, &mut scratch.1));
-            let outside: Vec<(f64, Buffer)> =
-                self.foci.iter().map(|(weight, plan)| (*weight, plan)).map(at_focus).collect();
+            let foci = self.foci.iter();
+            let outside: Vec<(f64, Buffer)> = foci
+                .map(|(weight, lens)| (*weight, self.outside(lens, *offset, &mut scratch.1)))
+                .collect();
             let mut values = Vec::new();
             for (r, thickness) in thicknesses.iter().enumerate() {
                 let tail = self.intensity(&outside, 0.5 * thickness, &mut scratch);
@@ -152,12 +155,17 @@ impl<'a> ProbeTail<'a> {
 
     /// Fourier coefficients of the tail of a probe at the origin: the part outside a window whose middle is at a distance of `offset`
     /// (Angstrom) from the probe.
-    fn outside(&self, plan: &Plan, offset: [f64; 2], scratch: &mut Scratch) -> Buffer {
+    fn outside(
+        &self,
+        lens: &[((usize, usize), Complex64)],
+        offset: [f64; 2],
+        scratch: &mut Scratch,
+    ) -> Buffer {
         let around = &self.around;
-        let (window, centre) = (&plan.wave_grid, window_centre(plan));
+        let (window, centre) = (&self.plan.wave_grid, window_centre(self.plan));
         // The window begins at the origin of the box.
         let position = plane::add(centre, offset);
-        let mut wave = probe_in_box(plan, &around.grid, position, &around.fft, scratch);
+        let mut wave = probe_in_box(lens, &around.grid, position, &around.fft, scratch);
         let (columns, rows) = (around.share_within(window, 0), around.share_within(window, 1));
         for (row, y) in wave.chunks_exact_mut(around.fft.stride()).zip(&rows) {
             row.iter_mut().zip(&columns).for_each(|(v, x)| *v *= 1.0 - x * y);

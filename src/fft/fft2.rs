@@ -178,6 +178,23 @@ impl Fft2 {
         self.both(data, true, scratch);
     }
 
+    /// As [`Fft2::inverse`], where only the rows of the frequencies `-m..=m` hold values other than zero.
+    pub(crate) fn inverse_of_low_rows(
+        &self,
+        data: &mut [Complex32],
+        m: usize,
+        scratch: &mut Scratch,
+    ) {
+        // Whole blocks, so that a row's transform has the same bytes.
+        let high = self.ny.saturating_sub(m) / lanes() * lanes();
+        if (m + 1).next_multiple_of(lanes()) >= high {
+            return self.inverse(data, scratch);
+        }
+        self.some_rows(data, m + 1, true, scratch);
+        self.some_rows(&mut data[high * self.stride..], self.ny - high, true, scratch);
+        self.all_columns(data, true, scratch);
+    }
+
     fn both(&self, data: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
         self.all_rows(data, inverse, scratch);
         self.all_columns(data, inverse, scratch);

@@ -20,6 +20,8 @@ const BOND: f64 = 1.15;
 const LEAST_BONDS: f64 = 1.0 / 3.0;
 /// Atoms within this distance outside a facet belong to the particle, in Angstrom.
 const ROUNDING: f64 = 1e-6;
+/// Corners of a body move out by less than this with its facets by [`ROUNDING`], in Angstrom.
+const MARGIN: f64 = 1e-3;
 
 /// The outside of a particle, about its centre; lengths in Angstrom.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,10 +48,6 @@ impl ParticleBody {
         }
     }
 
-    fn holds(&self, at: Vec3) -> bool {
-        self.depth(at) >= -ROUNDING
-    }
-
     /// Returns the greatest distance of a point of the particle from its centre.
     fn reach(&self) -> f64 {
         match self {
@@ -60,12 +58,28 @@ impl ParticleBody {
             ParticleBody::Sphere(radius) => *radius,
         }
     }
+
+    /// Returns the radius of the sphere about the centre that touches the nearest facet; 0 if the centre is outside.
+    fn clear(&self) -> f64 {
+        self.depth([0.0; 3]).max(0.0)
+    }
 }
 
-/// A body of one size, with the greatest distance of its points from the centre.
+/// A body of one size.
 struct SizedBody {
     body: ParticleBody,
+    /// The greatest distance of its points from the centre.
     reach: f64,
+    /// All points nearer to the centre belong to it.
+    clear: f64,
+}
+
+impl SizedBody {
+    /// Most points are decided by their distance from the centre alone.
+    fn holds(&self, at: Vec3) -> bool {
+        let r = norm(at);
+        r < self.clear || (r < self.reach + MARGIN && self.body.depth(at) >= -ROUNDING)
+    }
 }
 
 /// An atom of a crystal: its cell and its number in the cell.
@@ -148,7 +162,11 @@ pub fn crystal_particle(crystal: &Structure, body: &ParticleBody, volume: f64) -
     let reach = body.reach();
     let bodies: Vec<SizedBody> = sizes(wanted, volume, &bonds)
         .into_iter()
-        .map(|size| SizedBody { body: body.scaled(size), reach: size * reach })
+        .map(|size| SizedBody {
+            body: body.scaled(size),
+            reach: size * reach,
+            clear: size * body.clear(),
+        })
         .collect();
     let centres = centres(crystal, wanted);
     let tries: Vec<(usize, usize)> =
@@ -200,7 +218,7 @@ fn centres(crystal: &Structure, wanted: f64) -> Vec<Vec3> {
 
 /// Returns the atoms within a body about a centre, cell by cell.
 fn inside(crystal: &Structure, sized: &SizedBody, centre: Vec3) -> Vec<Label> {
-    let SizedBody { body, reach } = sized;
+    let reach = sized.reach;
     let to_fraction = inverse(&crystal.cell).unwrap_or([[0.0; 3]; 3]);
     let middle = row_times(centre, &to_fraction);
     let thick = face_distances(&crystal.cell);
@@ -209,12 +227,17 @@ fn inside(crystal: &Structure, sized: &SizedBody, centre: Vec3) -> Vec<Label> {
         let cells = reach / thick[k] + 2.0;
         (middle[k] - cells).floor() as i32..=(middle[k] + cells).ceil() as i32
     };
+    let of_cell = crystal.atoms.iter().map(|atom| norm(atom.position)).fold(0.0, f64::max);
     let mut found = Vec::new();
     for i in range(0) {
         for (j, k) in range(1).flat_map(|j| range(2).map(move |k| (j, k))) {
+            let corner = row_times([i, j, k].map(f64::from), &crystal.cell);
+            if norm(std::array::from_fn(|x| corner[x] - centre[x])) > reach + of_cell + MARGIN {
+                continue;
+            }
             for atom in 0..crystal.atoms.len() {
                 let at = place(crystal, ([i, j, k], atom));
-                if body.holds(std::array::from_fn(|x| at[x] - centre[x])) {
+                if sized.holds(std::array::from_fn(|x| at[x] - centre[x])) {
                     found.push(([i, j, k], atom));
                 }
             }
@@ -231,7 +254,6 @@ fn count_and_energy(
     centre: Vec3,
 ) -> (usize, f64) {
     let atoms = inside(crystal, sized, centre);
-    let body = &sized.body;
     if atoms.is_empty() {
         return (0, f64::INFINITY);
     }
@@ -242,10 +264,13 @@ fn count_and_energy(
     let mut missing = 0.0;
     for &(cell, atom) in &atoms {
         let own = &bonds.of_atom[atom];
-        if own.is_empty() || body.depth(from_centre((cell, atom))) > bonds.longest {
+        let at = from_centre((cell, atom));
+        let deep =
+            || norm(at) + bonds.longest < sized.clear || sized.body.depth(at) > bonds.longest;
+        if own.is_empty() || deep() {
             continue;
         }
-        let held = |&&(by, other): &&Label| body.holds(from_centre((sum(cell, by), other)));
+        let held = |&&(by, other): &&Label| sized.holds(from_centre((sum(cell, by), other)));
         let kept = own.iter().filter(held).count();
         missing += 1.0 - (kept as f64 / own.len() as f64).sqrt();
     }
