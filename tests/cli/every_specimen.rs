@@ -31,6 +31,7 @@ fn write_atoms(path: &Path) {
 }
 
 #[test]
+#[ignore = "long: each specimen is simulated without a library"]
 fn tiles_and_live_worlds_show_stacks_and_own_atoms() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

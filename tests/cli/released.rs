@@ -111,6 +111,7 @@ fn change_value(world: &Path, name: &str) {
 
 /// Each kind of thing that a file holds, changed, taken out or put in, is found under its name; then it is put back.
 #[test]
+#[ignore = "long: a world is built for each change"]
 fn whatever_differs_from_a_released_world_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
