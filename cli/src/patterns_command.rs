@@ -15,8 +15,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use stemgen::detect::{DetectorMtf, PatternDetector};
 use stemgen::files::outputs::check_outputs;
-use stemgen::files::read_text;
-use stemgen::io::{PatternFormat, PatternRun, WrittenPatterns};
+use stemgen::files::{Shard, read_text};
+use stemgen::io::{PatternFormat, PatternParts, PatternRun, WrittenPatterns};
 use stemgen::progress::Progress;
 use stemgen::render::image_pictures;
 use stemgen::simulation::{PlanReport, SimulationJob, SimulationRequest};
@@ -33,6 +33,9 @@ Examples:
     stemgen patterns srtio3.cif --repeat 8,8,10 --radial 1 --max-angle 200
   A finite source, and a detector that spreads electrons over its pixels:
     stemgen patterns srtio3.cif --repeat 8,8,10 --source-size 0.8 --mtf 0.6 --dose 1e5
+  One scan in four parts, on machines that share a file system; then the patterns:
+    stemgen patterns srtio3.cif --repeat 8,8,10 --shard 0/4    # and 1/4, 2/4, 3/4
+    stemgen patterns srtio3.cif --repeat 8,8,10
   Print time, memory and file size only:
     stemgen patterns mos2.xyz --energy 80 --semiangle 25 --dry-run
   Images from the patterns:
@@ -113,6 +116,10 @@ pub struct PatternResults {
     /// Dose in electrons per square Angstrom of the scan. The file then holds counted electrons; --seed seeds the noise
     #[arg(long, value_name = "E/A^2", value_parser = values::positive)]
     dose: Option<f64>,
+    /// Simulate only part K of N, and store it: neighbouring rows of the scan. `slurm` takes K and N from a job array. The
+    /// command without --shard then finds the parts and writes the patterns
+    #[arg(long, value_name = "K/N|slurm", value_parser = values::shard, help_heading = "Running")]
+    shard: Option<Shard>,
     /// Also write a picture (PNG) of the mean pattern, beside the file. It shows the fourth root of the intensities
     #[arg(long)]
     png: bool,
@@ -132,6 +139,36 @@ struct PatternsDryRun {
     outputs: Vec<PathBuf>,
     #[serde(flatten)]
     plan: PlanReport,
+}
+
+/// The report of a shard at its end.
+#[derive(Serialize)]
+struct PatternPartReport {
+    output: PathBuf,
+    /// Its number, from 0, and the number of shards.
+    shard: [usize; 2],
+    /// Rows of the simulated scan, of all defoci.
+    rows: usize,
+    rows_resumed: usize,
+    wall_time_s: f64,
+}
+
+impl PatternPartReport {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        let [index, count] = self.shard;
+        lines.add("shard", format!("{index}/{count} of {}", self.output.display()));
+        let was = match self.rows_resumed {
+            0 => String::new(),
+            n => format!(", {n} of which were stored already"),
+        };
+        lines.add("rows", format!("{}{was}", self.rows));
+        let next =
+            "when all shards are done, run the command without --shard: it writes the patterns";
+        lines.add("next", next);
+        lines.add("time", text::duration(self.wall_time_s));
+        lines.text()
+    }
 }
 
 /// The summary of a run.
@@ -201,6 +238,11 @@ impl Patterns {
             return run.dry_run(&self.common);
         }
         let inputs = [self.specimen.structure.clone()];
+        if let Some(shard) = self.results.shard {
+            run.check(&inputs, self.results.overwrite, (&self.force, &reporter))?;
+            let part = run.part(shard, &reporter)?;
+            return self.common.print(&part, &part.text());
+        }
         let summary = run.execute(&inputs, self.results.overwrite, (&self.force, &reporter))?;
         self.common.print(&summary, &summary.text())
     }
@@ -245,6 +287,31 @@ impl PatternsRun {
         overwrite: bool,
         (force, reporter): (&Force, &Reporter),
     ) -> anyhow::Result<PatternsSummary> {
+        self.check(inputs, overwrite, (force, reporter))?;
+        let begun = Instant::now();
+        let files = self.write(overwrite, reporter)?;
+        Ok(PatternsSummary { files, wall_time_s: begun.elapsed().as_secs_f64() })
+    }
+
+    /// Simulates the part of one of several processes, and stores it.
+    fn part(&self, shard: Shard, reporter: &Reporter) -> anyhow::Result<PatternPartReport> {
+        let begun = Instant::now();
+        let made = PatternParts::new(&self.job, &self.output, reporter)?.make(shard)?;
+        Ok(PatternPartReport {
+            output: self.output.clone(),
+            shard: [shard.index(), shard.count()],
+            rows: made.rows,
+            rows_resumed: made.stored,
+            wall_time_s: begun.elapsed().as_secs_f64(),
+        })
+    }
+
+    fn check(
+        &self,
+        inputs: &[PathBuf],
+        overwrite: bool,
+        (force, reporter): (&Force, &Reporter),
+    ) -> anyhow::Result<()> {
         let files = self.run("").files();
         let pictures = files.iter().filter(|_| self.png).map(|(path, _)| picture_of(path));
         let mut outputs = self.run("").outputs()?;
@@ -254,10 +321,7 @@ impl PatternsRun {
         for (bytes, remedy) in self.job.memory() {
             force.check_memory(bytes, remedy, reporter)?;
         }
-        self.run("").check_space()?;
-        let begun = Instant::now();
-        let files = self.write(overwrite, reporter)?;
-        Ok(PatternsSummary { files, wall_time_s: begun.elapsed().as_secs_f64() })
+        Ok(self.run("").check_space()?)
     }
 
     /// Returns the run that simulates and writes.

@@ -5,15 +5,13 @@ use std::time::Instant;
 
 use anyhow::{Context, bail};
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 
 use super::plan_text::Lines;
 use super::progress_bar::Reporter;
 use super::text;
-use stemgen::engine::{Plan, Scan, ScanPart, simulate_part};
+use stemgen::engine::{Plan, Scan, ScanPart, series_digest, simulate_part};
 use stemgen::files::array_store::{ArrayStore, Stored};
 use stemgen::files::{OutputLock, Shard};
-use stemgen::numerics::NUMERICS_VERSION;
 use stemgen::progress::Progress;
 use stemgen::structure::Site;
 use stemgen::world::work_folder;
@@ -48,21 +46,7 @@ impl ScanParts<'_> {
 
     /// Returns a digest of all settings and atoms that decide the values, without the number of the part.
     fn key(&self) -> String {
-        let settings: Vec<_> = self.plans.iter().map(|plan| &plan.settings).collect();
-        let grids: Vec<_> = self.plans.iter().map(|plan| format!("{:?}", plan.slices)).collect();
-        let scan = format!("{:?}", self.scan);
-        let text = serde_json::json!([NUMERICS_VERSION, settings, grids, scan]);
-        let mut digest = Sha256::new_with_prefix(text.to_string());
-        for sites in &self.frames {
-            digest.update(sites.len().to_le_bytes());
-            for site in *sites {
-                site.position.iter().for_each(|x| digest.update(x.to_le_bytes()));
-                digest.update([site.number]);
-                digest.update(site.sigma_angstrom.to_le_bytes());
-                digest.update(site.key.to_le_bytes());
-            }
-        }
-        digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+        series_digest(self.plans, &self.frames, &self.scan)
     }
 
     /// Simulates a part and stores it. Refuses a folder with parts of other images, and never removes them.

@@ -50,7 +50,7 @@ pub fn simulate_patterns(
                 cubes.iter_mut().enumerate().for_each(|(t, cube)| cube.put(&band, t));
                 Ok(())
             };
-            job.patterns(n, &mut take, call)?;
+            job.patterns(n, None, &mut take, call)?;
         }
         Ok((headers.into_iter().zip(cubes).collect(), vacuum))
     };

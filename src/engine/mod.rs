@@ -57,13 +57,15 @@ pub use detector_images::Images;
 pub use free_memory::check_memory;
 pub use grid::Grid;
 pub(crate) use lens::lens_image;
-pub use patterns::{PatternRows, PatternSettings, simulate_patterns};
+pub use patterns::{
+    PatternRows, PatternSettings, pattern_rows, simulate_pattern_rows, simulate_patterns,
+};
 pub use phonons::displaced;
 pub use plan::Plan;
 pub use probe_raster::ProbeRaster;
 pub(crate) use probe_raster::probe_margin_angstrom;
 pub use probe_scan::Scan;
-pub use scan_part::ScanPart;
+pub use scan_part::{ScanPart, series_digest};
 pub use series::simulate_part;
 pub(crate) use series::{simulate_places, simulate_series};
 pub use settings::{

@@ -11,7 +11,10 @@ use super::probe_patches::ProbePatches;
 use super::probe_scan::{ProbePlaces, Scan};
 use crate::error::{Error, Result};
 use crate::files::Shard;
+use crate::numerics::NUMERICS_VERSION;
 use crate::setting::Setting;
+use crate::structure::Site;
+use sha2::{Digest, Sha256};
 
 /// The values that one of several processes simulated of a series of images.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,6 +80,24 @@ impl ScanPart {
         }
         Ok([rows, plans.first().map_or(0, per_probe)])
     }
+}
+
+/// A digest of the settings, slices, places and atoms that decide the values of a series of images or patterns of a scan.
+pub fn series_digest(plans: &[Plan], frames: &[&[Site]], scan: &Scan) -> String {
+    let settings: Vec<_> = plans.iter().map(|plan| &plan.settings).collect();
+    let grids: Vec<_> = plans.iter().map(|plan| format!("{:?}", plan.slices)).collect();
+    let text = serde_json::json!([NUMERICS_VERSION, settings, grids, format!("{scan:?}")]);
+    let mut digest = Sha256::new_with_prefix(text.to_string());
+    for sites in frames {
+        digest.update(sites.len().to_le_bytes());
+        for site in *sites {
+            site.position.iter().for_each(|x| digest.update(x.to_le_bytes()));
+            digest.update([site.number]);
+            digest.update(site.sigma_angstrom.to_le_bytes());
+            digest.update(site.key.to_le_bytes());
+        }
+    }
+    digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn other_series(shard: Shard) -> Error {

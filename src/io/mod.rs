@@ -38,6 +38,7 @@ pub use self::hdf5::{
     patterns::{
         pattern_file::{PatternFile, PatternHeader, data_bytes},
         pattern_format::PatternFormat,
+        pattern_parts::{MadePart, PatternParts},
         pattern_run::{PatternRun, WrittenPatterns},
     },
     read_through,

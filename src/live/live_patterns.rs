@@ -90,7 +90,7 @@ impl LiveWorld {
     ) -> Result<()> {
         self.check_scan(&place.part, &place.path, &place.exposure)?;
         place.job.check_memory()?;
-        place.job.patterns(0, take, progress)?;
+        place.job.patterns(0, None, take, progress)?;
         self.change_by_scan(&place.part, &place.path, &place.exposure);
         Ok(())
     }

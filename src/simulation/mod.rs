@@ -47,7 +47,7 @@ pub use job::SimulationJob;
 pub use microscope::MicroscopeRequest;
 pub use numerics_request::{Engine, NumericsRequest};
 pub(crate) use pattern_job::pattern_window_angstrom;
-pub use pattern_job::{PatternBand, PatternValues, PatternsRequest};
+pub use pattern_job::{PatternBand, PatternValues, PatternsRequest, StoredPatterns};
 pub use plan_report::{GridReport, PlanReport, SliceReport};
 pub use plane_wave::PlaneWaveImages;
 pub use plausibility::{Warning, check_detector, check_energy, check_hdf5_name, check_semiangle};

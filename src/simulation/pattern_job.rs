@@ -1,5 +1,7 @@
 //! Diffraction patterns of every probe of a scan (4D-STEM).
 
+use std::ops::Range;
+
 use ndarray::{Array2, Array5, ArrayView5, Axis};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -13,9 +15,13 @@ use super::time_estimate::threads;
 use crate::detect::{
     Detector, DetectorMtf, MtfFilter, PatternDetector, PixelatedDetector, RadialBins,
 };
-use crate::engine::patterns::{PatternCost, PatternRows, PatternSettings, simulate_patterns};
+use crate::engine::patterns::{
+    PatternCost, PatternRows, PatternSettings, pattern_rows, simulate_pattern_rows,
+    simulate_patterns,
+};
 use crate::engine::{Plan, Scan, Settings};
 use crate::error::{Error, Result};
+use crate::files::Shard;
 use crate::imaging::Noise;
 use crate::progress::{Progress, Silent};
 use crate::setting::Setting;
@@ -67,6 +73,15 @@ pub struct PatternBand<'a> {
     pub first_row: usize,
     /// The patterns.
     pub values: PatternValues<'a>,
+}
+
+/// Patterns that were simulated before: parts of several processes.
+pub trait StoredPatterns {
+    /// The rows of the simulated scan that are stored for a plan, each range with a name of its own; sorted, and not overlapping.
+    fn ranges(&self, plan: usize) -> Vec<Range<usize>>;
+
+    /// The fractions of the beam, (thickness, row, column, ky, kx); `None` if they cannot be used.
+    fn load(&self, plan: usize, rows: &Range<usize>) -> Option<Array5<f32>>;
 }
 
 /// Shortest and longest time in seconds of reading patterns on this number of threads.
@@ -174,13 +189,14 @@ impl SimulationJob {
     }
 
     /// Simulates the patterns of all probes at one defocus, number `plan`, and passes them to `take` by rows. Counts electrons if the
-    /// request gives a dose.
+    /// request gives a dose. Rows that are `stored` are not simulated.
     ///
     /// # Errors
     /// Errors of [`simulate_patterns`]; [`Error::Invalid`] for a request without patterns; errors of `take`.
     pub fn patterns(
         &self,
         plan: usize,
+        stored: Option<&dyn StoredPatterns>,
         take: &mut dyn FnMut(PatternBand<'_>) -> Result<()>,
         progress: &dyn Progress,
     ) -> Result<()> {
@@ -212,8 +228,42 @@ impl SimulationJob {
             None => hand_on(rows),
             Some(source) => source.push(&rows, &mut hand_on),
         };
+        let mut next = 0;
+        for rows in stored.map_or(Vec::new(), |stored| stored.ranges(plan)) {
+            let Some(data) = stored.and_then(|stored| stored.load(plan, &rows)) else { continue };
+            self.simulated_rows(plan, next..rows.start, &mut take_rows, progress)?;
+            take_rows(PatternRows { first_row: rows.start, data: data.view() })?;
+            next = rows.end;
+        }
+        self.simulated_rows(plan, next..scan.shape[0], &mut take_rows, progress)
+    }
+
+    /// The scan whose probes are simulated for patterns, and the rows of it that one of several processes simulates at one defocus.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a request without patterns.
+    pub fn pattern_part(&self, plan: usize, shard: Shard) -> Result<(Scan, Range<usize>)> {
+        self.asked()?;
+        let scan = self.pattern_scan().unwrap_or(*self.scan());
+        let rows = pattern_rows(&self.plans()[plan], &scan, shard);
+        Ok((scan, rows))
+    }
+
+    /// Simulates rows of the scan of [`SimulationJob::pattern_part`]: fractions of the beam, before source, transfer function and noise.
+    pub(crate) fn simulated_rows(
+        &self,
+        plan: usize,
+        rows: Range<usize>,
+        take: &mut dyn FnMut(PatternRows<'_>) -> Result<()>,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        if rows.is_empty() {
+            return Ok(());
+        }
+        let settings = self.asked()?;
+        let scan = self.pattern_scan().unwrap_or(*self.scan());
         let (plan, frames) = (&self.plans()[plan], self.specimen().frames());
-        simulate_patterns(plan, &frames, scan, settings, &mut take_rows, progress)
+        simulate_pattern_rows(plan, &frames, (&scan, rows), settings, take, progress)
     }
 
     /// The raster of probes that the source needs; `None` for a point source, and for images.

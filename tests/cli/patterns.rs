@@ -1,6 +1,6 @@
 //! `stemgen patterns`, and `stemgen integrate`, which makes images of them.
 
-use super::{fails, file, json, python, stemgen};
+use super::{fails, file, json, python, stderr, stemgen};
 use std::path::Path;
 
 /// A small scan of silicon, whose patterns take a second.
@@ -75,6 +75,52 @@ fn patterns_are_written_for_other_programs_and_make_images() {
     }
     let all = python("digest.py", &[&here.join("si_images.h5")]);
     assert!(all.contains("images/icom (1, 3, 4)"), "{all}");
+}
+
+/// Parts of several processes: each row once, the same numbers for any division, damaged parts made again, other parts refused.
+#[test]
+fn patterns_are_simulated_in_parts() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    silicon(here);
+    let series = |more: &[&str]| {
+        let common = ["--defocus", "0:20:20", "--phonons", "1", "--sigma", "0.08", "-o", "s.emd"];
+        let mut command = stemgen(here);
+        command.args(["patterns", "si.cif"]).args(SMALL).args(common).args(more);
+        command
+    };
+    let names = ["s_defocus_0A.emd", "s_defocus_20A.emd"];
+    let values = || {
+        names.map(|name| {
+            let all = python("digest.py", &[&here.join(name)]);
+            all.lines().find(|line| line.contains("datacube/data")).map(str::to_owned).unwrap()
+        })
+    };
+    let expected = {
+        json(&mut series(&[]));
+        values()
+    };
+    assert_ne!(expected[0], expected[1]);
+    names.iter().for_each(|name| std::fs::remove_file(here.join(name)).unwrap());
+    let mut rows = 0;
+    for shard in ["1/2", "0/2", "4/5"] {
+        let part = json(&mut series(&["--shard", shard]));
+        rows += part["rows"].as_u64().unwrap() - part["rows_resumed"].as_u64().unwrap();
+    }
+    assert_eq!(rows, 6, "three rows at each of two foci");
+    let again = json(&mut series(&["--shard", "1/2"]));
+    assert_eq!(again["rows"], again["rows_resumed"]);
+    assert!(!here.join(names[0]).exists());
+    let parts = std::fs::read_dir(here.join("s.emd.work")).unwrap();
+    let first = parts.map(|entry| entry.unwrap().path()).min().unwrap();
+    std::fs::write(&first, b"STEMARR1 and no more").unwrap();
+    let printed = fails(series(&["--seed", "5", "--shard", "0/2"]).arg("--quiet"));
+    assert!(printed.contains("parts of other patterns"), "{printed}");
+    let run = series(&[]).output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    assert!(stderr(&run).contains("is cut off; simulated again"), "{}", stderr(&run));
+    assert_eq!(values(), expected);
+    assert!(!here.join("s.emd.work").exists());
 }
 
 /// The images of sectors that `simulate` makes are those that are made of patterns, whose pixels cut the edges otherwise.

@@ -18,6 +18,7 @@ use super::transmission::TransmissionBuilder;
 use super::workspace_pool::WorkspacePool;
 use crate::detect::PatternDetector;
 use crate::error::{Error, Result};
+use crate::files::Shard;
 use crate::progress::Progress;
 use crate::setting::Setting;
 use crate::structure::Site;
@@ -63,17 +64,51 @@ pub fn simulate_patterns(
     take: &mut dyn FnMut(PatternRows<'_>) -> Result<()>,
     progress: &dyn Progress,
 ) -> Result<()> {
+    let all = 0..scan.shape[0];
+    simulate_pattern_rows(plan, frames, (scan, all), settings, take, progress)
+}
+
+/// The rows of a scan whose patterns one of several processes simulates: neighbouring rows, such that no patch of probes is divided. All
+/// parts together are the scan; with many processes some are empty.
+pub fn pattern_rows(plan: &Plan, scan: &Scan, shard: Shard) -> Range<usize> {
+    let groups = run::patches(plan, scan).patches;
+    let rows = scan.shape[0];
+    let mut starts: Vec<usize> =
+        bands(&groups, scan, (1, 0)).iter().map(|b| b.rows.start).collect();
+    starts.push(rows);
+    let bound = |k: usize| {
+        let from = (k * rows).div_ceil(shard.count());
+        starts.iter().copied().find(|start| *start >= from).unwrap_or(rows)
+    };
+    bound(shard.index())..bound(shard.index() + 1)
+}
+
+/// As [`simulate_patterns`], for some rows of the scan: those of [`pattern_rows`], or of several neighbouring parts. The values do not depend
+/// on the division.
+///
+/// # Errors
+/// As [`simulate_patterns`].
+pub fn simulate_pattern_rows(
+    plan: &Plan,
+    frames: &[&[Site]],
+    (scan, rows): (&Scan, Range<usize>),
+    settings: PatternSettings,
+    take: &mut dyn FnMut(PatternRows<'_>) -> Result<()>,
+    progress: &dyn Progress,
+) -> Result<()> {
     check(plan, &settings)?;
     let all: Vec<Site> = frames.iter().flat_map(|sites| sites.iter().copied()).collect();
     let builder = TransmissionBuilder::new(plan, &elements(&all))?;
     let mut reader = PatternReader::new(plan, settings);
-    let (groups, shared) = reader.groups(scan);
+    let (mut groups, shared) = reader.groups(scan);
+    groups.retain(|group| rows.contains(&first_row(group, scan)));
     let each = plan.record_after.len() * settings.detector.values();
     let configurations = plan.settings.configurations();
     let runs = configurations as usize * frames.len();
-    progress.start("simulating", "patterns", (scan.len() * runs) as u64);
+    let probes: usize = groups.iter().map(|group| group.probes.len()).sum();
+    progress.start("simulating", "patterns", (probes * runs) as u64);
     let workspaces = WorkspacePool::new();
-    for band in bands(&groups, scan, each) {
+    for band in bands(&groups, scan, (each, HELD_BYTES)) {
         let groups = &groups[band.groups.clone()];
         let mut sums: Vec<Vec<f32>> =
             groups.iter().map(|group| vec![0.0; group.probes.len() * each]).collect();
@@ -132,10 +167,14 @@ struct Band {
     groups: Range<usize>,
 }
 
-/// Divides groups, which are sorted by row, into bands of whole rows whose patterns of `each` values need about [`HELD_BYTES`].
-fn bands(groups: &[Patch], scan: &Scan, each: usize) -> Vec<Band> {
+fn first_row(group: &Patch, scan: &Scan) -> usize {
+    group.probes.first().map_or(0, |(i, _)| i / scan.shape[1])
+}
+
+/// Divides groups, which are sorted by row, into bands of whole rows whose patterns of `each` values need about `most` bytes.
+fn bands(groups: &[Patch], scan: &Scan, (each, most): (usize, usize)) -> Vec<Band> {
     let columns = scan.shape[1];
-    let row = |group: &Patch| group.probes.first().map_or(0, |(i, _)| i / columns);
+    let row = |group: &Patch| first_row(group, scan);
     let mut bands: Vec<Band> = Vec::new();
     let mut last_row = usize::MAX;
     for (g, group) in groups.iter().enumerate() {
@@ -148,7 +187,7 @@ fn bands(groups: &[Patch], scan: &Scan, each: usize) -> Vec<Band> {
                 band.rows.end = band.rows.end.max(end);
                 band.groups.end = g + 1;
             }
-            Some(band) if held(&band.rows, end, columns, each) <= HELD_BYTES => {
+            Some(band) if held(&band.rows, end, columns, each) <= most => {
                 band.rows.end = end;
                 band.groups.end = g + 1;
             }

@@ -6,7 +6,7 @@ use super::super::probe_patches::waves_of_patch;
 use super::super::probe_scan::Scan;
 use super::ring_sums::RingSums;
 use super::run::{PROBES_TOGETHER, PatternReach, patches};
-use super::{Band, PatternSettings, bands, held};
+use super::{Band, HELD_BYTES, PatternSettings, bands, held};
 use crate::detect::{PatternDetector, PixelatedDetector};
 use num_complex::Complex32;
 
@@ -43,7 +43,7 @@ impl PatternCost {
         let runs = f64::from(plan.settings.configurations()) * (records * scan.len()) as f64;
         let values = (waves + PROBES_TOGETHER) * (x * y + own) + 8 * x * y;
         let bytes = |band: &Band| held(&band.rows, band.rows.end, scan.shape[1], records * n);
-        let bands = bands(&patches.patches, scan, records * n);
+        let bands = bands(&patches.patches, scan, (records * n, HELD_BYTES));
         PatternCost {
             flops: runs * each as f64,
             // The patterns are stored once as sums, and once in the order of the scan.

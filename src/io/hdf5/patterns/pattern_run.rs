@@ -6,6 +6,7 @@ use ndarray::{Array2, ArrayView4, Axis};
 
 use super::pattern_file::{PatternHeader, PatternOrigin, PatternWriter, write_patterns};
 use super::pattern_format::PatternFormat;
+use super::pattern_parts::PatternParts;
 use crate::error::Result;
 use crate::files::disk_space::check_places;
 use crate::io::hdf5::images::image_file::Origin;
@@ -104,11 +105,13 @@ impl PatternRun<'_> {
         check_places(&needed.collect::<Vec<_>>())
     }
 
-    /// Simulates and writes the patterns. Files of one defocus appear together, complete.
+    /// Simulates and writes the patterns. Files of one defocus appear together, complete. Parts that [`PatternParts::make`] stored beside
+    /// the output are not simulated again, and removed at the end.
     ///
     /// # Errors
     /// Errors of [`SimulationJob::patterns`] and of the files.
     pub fn write(&self, overwrite: bool, progress: &dyn Progress) -> Result<Vec<WrittenPatterns>> {
+        let parts = PatternParts::new(self.job, self.output, progress)?;
         let vacuum = self.job.vacuum_pattern()?;
         let origin = Origin::of_simulation(self.job, self.command_line)?;
         let plans = self.job.plans();
@@ -124,7 +127,7 @@ impl PatternRun<'_> {
             let mut sums: Vec<Array2<f64>> = vec![Array2::zeros(vacuum.dim()); files.len()];
             let mut fill = |writers: &mut [PatternWriter]| {
                 let mut take = |band: PatternBand<'_>| take(writers, &mut sums, band);
-                self.job.patterns(n, &mut take, progress)
+                self.job.patterns(n, Some(&parts), &mut take, progress)
             };
             write_patterns(files, overwrite, &origin, &mut fill)?;
             for ((path, header), sum) in files.iter().zip(sums) {
@@ -132,6 +135,7 @@ impl PatternRun<'_> {
                 written.push(WrittenPatterns { path: path.clone(), header: header.clone(), mean });
             }
         }
+        parts.remove()?;
         Ok(written)
     }
 }
