@@ -60,6 +60,9 @@ impl ScanParts<'_> {
                 digest.update([site.number]);
                 digest.update(site.sigma_angstrom.to_le_bytes());
                 digest.update(site.key.to_le_bytes());
+                if let Some(anisotropy) = site.anisotropy {
+                    anisotropy.components().iter().for_each(|x| digest.update(x.to_le_bytes()));
+                }
             }
         }
         digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
