@@ -336,7 +336,7 @@ impl SpecimenRequest {
     }
 }
 
-/// Tells how many atoms take anisotropic displacements.
+/// Returns the warning that lists how many atoms have anisotropic displacements.
 fn anisotropic_note(sigmas: &Sigmas, structure: &Structure) -> Option<String> {
     let own = |atom: &&Atom| atom.displacement.is_some();
     let (count, all) = (structure.atoms.iter().filter(own).count(), structure.atoms.len());
