@@ -105,6 +105,7 @@ fn run(case: &Case, asked: &[(f64, f64)]) {
         position: a.position,
         number: a.number,
         sigma_angstrom: 0.0,
+        anisotropy: None,
         key: key as u64,
     };
     let mut sites: Vec<Site> = structure.atoms.iter().enumerate().map(site).collect();

@@ -48,7 +48,7 @@ fn scan(origin: [f64; 2], shape: [usize; 2]) -> Scan {
 fn platinum() -> Case {
     let site = |(key, p): (usize, [f64; 3])| {
         let position = [p[0] + 17.0, p[1] + 17.0, p[2] + 15.0];
-        Site { position, number: 78, sigma_angstrom: 0.07, key: key as u64 }
+        Site { position, number: 78, sigma_angstrom: 0.07, anisotropy: None, key: key as u64 }
     };
     let moved = |s: Site| Site { position: displaced(&s, 1, 0), sigma_angstrom: 0.0, ..s };
     let sites = sphere(3.924, 14.0, [0.37, 0.81]).into_iter().enumerate().map(site).map(moved);
@@ -82,8 +82,13 @@ fn gold_on_carbon() -> Case {
     let gold = sphere(4.078, 11.2, [0.0; 2]).into_iter();
     let gold = gold.map(|p| (79, [p[0] + 20.0, p[1] + 20.0, p[2] + FILM + 13.0]));
     let all = carbon.into_iter().map(|p| (6, p)).chain(gold).enumerate();
-    let site =
-        |(key, (number, position))| Site { position, number, sigma_angstrom: 0.0, key: key as u64 };
+    let site = |(key, (number, position))| Site {
+        position,
+        number,
+        sigma_angstrom: 0.0,
+        anisotropy: None,
+        key: key as u64,
+    };
     let (name, cell) = ("Au on carbon", [EDGE, EDGE, 56.0]);
     Case {
         name,

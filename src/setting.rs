@@ -115,6 +115,8 @@ settings! {
     SiteOccupancy = "sum of occupancies on one site",
     /// The standard deviation of thermal displacements.
     ThermalSigma = "sigma (A)",
+    /// Mean square displacements of single atoms.
+    Displacements = "displacements (A^2)",
     /// Temperature of the specimen.
     Temperature = "temperature (K)",
     /// The diameter of a cluster.

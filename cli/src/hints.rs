@@ -158,6 +158,7 @@ pub fn options(setting: Setting) -> Option<&'static str> {
         S::Up => Some("--up"),
         S::Repeat | S::SupercellAtoms => Some("--repeat"),
         S::Temperature => Some("--sigma table --temperature 250"),
+        S::Displacements => Some("--sigma, which gives one length for each element"),
         S::ThermalSigma => Some("--sigma, such as --sigma Sr=0.084,O=0.085"),
         S::Algorithm => Some("--engine"),
         S::Gpts => Some("--gpts"),

@@ -44,8 +44,9 @@ pub struct SpecimenArgs {
     #[arg(long, value_name = "N", requires = "sigma")]
     pub phonons: Option<u32>,
     /// Standard deviation of the thermal displacement along each axis, in A: one number, or one for each element
-    /// (Sr=0.084,O=0.085). `from-file` takes the mean U or B of each element in a CIF. `table` takes the value of each element
-    /// in its elemental crystal, at --temperature
+    /// (Sr=0.084,O=0.085). `from-file` takes the displacements of a CIF: anisotropic U, B or beta (3 x 3) for each atom that has
+    /// one, and the mean isotropic U or B of the element for other atoms. `table` takes the value of each element in its
+    /// elemental crystal, at --temperature
     #[arg(long, value_name = "A", value_parser = values::sigma_choice, requires = "phonons")]
     pub sigma: Option<SigmaChoice>,
     /// Temperature for --sigma table, 200 to 400 K [default: 293]

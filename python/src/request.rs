@@ -1,15 +1,15 @@
 //! Reads requests for simulations from Python: a request of the library from a dict, and atoms from arrays.
 
 use crate::errors::Fault;
-use ndarray::Array2;
-use numpy::PyReadonlyArray2;
+use ndarray::{Array2, Array3, ArrayView2};
+use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pythonize::Depythonizer;
 use serde::de::DeserializeOwned;
-use stemgen::Setting;
 use stemgen::simulation::{AtomsSource, SimulationJob, SimulationRequest};
-use stemgen::structure::{Atom, Structure, elements};
+use stemgen::structure::{Atom, DisplacementTensor, Structure, elements};
+use stemgen::{Error, Setting};
 
 /// A value of the library, read from a dict. Missing keys have the library's defaults.
 pub struct Parsed<T>(pub T);
@@ -79,6 +79,8 @@ pub struct AtomArrays {
     cell: [[f64; 3]; 3],
     /// Occupied share of the site of each atom; `None` for full occupancy.
     occupancies: Option<Vec<f64>>,
+    /// Mean square displacements (atom, 3, 3) in square Angstrom; `None` for none of their own.
+    displacements: Option<Tensors>,
 }
 
 /// Places as an array (atom, 3).
@@ -90,6 +92,43 @@ impl<'a, 'py> FromPyObject<'a, 'py> for Positions {
         let array: PyReadonlyArray2<'py, f64> = object.extract()?;
         Ok(Positions(array.as_array().to_owned()))
     }
+}
+
+/// Tensors as an array (atom, 3, 3).
+pub struct Tensors(Array3<f64>);
+
+impl<'a, 'py> FromPyObject<'a, 'py> for Tensors {
+    type Error = PyErr;
+    fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        let array: PyReadonlyArray3<'py, f64> = object.extract()?;
+        Ok(Tensors(array.as_array().to_owned()))
+    }
+}
+
+impl Tensors {
+    /// Returns the displacement of each of `count` atoms.
+    fn displacements(&self, count: usize) -> Result<Vec<DisplacementTensor>, Fault> {
+        let refuse = |value, expected| Err(Fault::Value(Setting::Displacements, value, expected));
+        if self.0.dim() != (count, 3, 3) {
+            let value = format!("shape {:?}", self.0.dim());
+            return refuse(value, format!("expected ({count}, 3, 3), in square Angstrom"));
+        }
+        let mut found = Vec::with_capacity(count);
+        for (n, u) in self.0.outer_iter().enumerate() {
+            match DisplacementTensor::new(matrix(u)) {
+                Ok(tensor) => found.push(tensor),
+                Err(Error::Invalid { value, expected, .. }) => {
+                    return refuse(format!("{value} of atoms[{n}]"), expected);
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(found)
+    }
+}
+
+fn matrix(u: ArrayView2<f64>) -> [[f64; 3]; 3] {
+    std::array::from_fn(|i| std::array::from_fn(|j| u[(i, j)]))
 }
 
 impl AtomArrays {
@@ -114,13 +153,17 @@ impl AtomArrays {
         if !positions.iter().all(|v| v.is_finite()) || !self.cell.iter().all(finite) {
             return refuse("nan or inf".into(), "positions and cell are finite, in A");
         }
+        let own = self.displacements.as_ref();
+        let own = own.map(|all| all.displacements(self.numbers.len())).transpose()?;
         let mut atoms = Vec::with_capacity(self.numbers.len());
         for (n, number) in self.numbers.iter().enumerate() {
             let occupancy = self.occupancies.as_ref().and_then(|o| o.get(n).copied());
             // This conversion refuses numbers of unknown elements.
             let number = elements::atomic_number(&number.to_string())?;
             let position = [positions[(n, 0)], positions[(n, 1)], positions[(n, 2)]];
-            atoms.push(Atom { occupancy: occupancy.unwrap_or(1.0), ..Atom::new(number, position) });
+            let displacement = own.as_ref().and_then(|all| all.get(n).copied());
+            let occupancy = occupancy.unwrap_or(1.0);
+            atoms.push(Atom { occupancy, displacement, ..Atom::new(number, position) });
         }
         Ok(Structure { cell: self.cell, atoms })
     }

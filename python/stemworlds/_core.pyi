@@ -20,6 +20,7 @@ class AtomArrays(TypedDict):
     positions: npt.NDArray[np.float64]
     cell: list[list[float]]
     occupancies: list[float] | None
+    displacements: npt.NDArray[np.float64] | None
 
 class SpecimenRequest(TypedDict, total=False):
     zone: tuple[int, ...]

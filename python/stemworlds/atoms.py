@@ -60,25 +60,27 @@ class AtomArrays:
 Atoms = AseAtoms | AtomArrays | str | os.PathLike[str]
 
 
-def atoms_source(atoms: Atoms) -> str | _core.AtomArrays:
-    """Returns atoms in the extension's form: a path, or a dict of arrays."""
+def atoms_source(atoms: Atoms, displacements: npt.ArrayLike | None = None) -> str | _core.AtomArrays:
+    """Returns atoms, with their mean square ``displacements``, in the extension's form: a path, or a dict of arrays."""
     if isinstance(atoms, (str, os.PathLike)):
+        if displacements is not None:
+            raise _invalid("displacements", "displacements are for atoms in memory; for a file, give sigma='from-file' or a length")
         return os.fspath(atoms)
     if isinstance(atoms, AtomArrays):
-        return _arrays(atoms.numbers, atoms.positions, atoms.cell, atoms.occupancies)
+        return _arrays(atoms.numbers, atoms.positions, atoms.cell, atoms.occupancies, displacements)
     if isinstance(atoms, AseAtoms):
-        return _of_ase(atoms)
+        return _of_ase(atoms, displacements)
     raise _invalid("atoms", f"atoms = {type(atoms).__name__}: expected ase.Atoms, AtomArrays or the path of a file")
 
 
-def _of_ase(atoms: Any) -> _core.AtomArrays:
+def _of_ase(atoms: Any, displacements: npt.ArrayLike | None) -> _core.AtomArrays:
     """Converts atoms of ASE, with their partial occupancies and the origin of their cell."""
     numbers, positions = np.asarray(atoms.get_atomic_numbers()), np.asarray(atoms.get_positions(), dtype=np.float64)
     if hasattr(atoms, "get_celldisp"):
         positions = positions - np.asarray(atoms.get_celldisp(), dtype=np.float64).reshape(3)
     mixed = getattr(atoms, "info", {}).get("occupancy")
     if not mixed:
-        return _arrays(numbers, positions, atoms.get_cell())
+        return _arrays(numbers, positions, atoms.get_cell(), None, displacements)
     kinds = getattr(atoms, "arrays", {}).get("spacegroup_kinds")
     if kinds is None:
         raise _invalid(
@@ -101,10 +103,18 @@ def _of_ase(atoms: Any) -> _core.AtomArrays:
                 sites.append(site)
                 drawn.append(atomic_numbers[symbol])
                 shares.append(float(share))
-    return _arrays(np.asarray(drawn, dtype=np.int64), positions[sites], atoms.get_cell(), shares)
+    tensors = None if displacements is None else _tensors(displacements, len(numbers))[sites]
+    return _arrays(np.asarray(drawn, dtype=np.int64), positions[sites], atoms.get_cell(), shares, tensors)
 
 
-def _arrays(numbers: Any, positions: Any, cell: Any, occupancies: Any = None) -> _core.AtomArrays:
+def _tensors(displacements: npt.ArrayLike, count: int) -> npt.NDArray[np.float64]:
+    tensors = np.ascontiguousarray(displacements, dtype=np.float64)
+    if tensors.shape != (count, 3, 3):
+        raise _invalid("displacements", f"displacements of shape {tensors.shape}: expected ({count}, 3, 3), in square Angstrom")
+    return tensors
+
+
+def _arrays(numbers: Any, positions: Any, cell: Any, occupancies: Any = None, displacements: Any = None) -> _core.AtomArrays:
     found = np.asarray(numbers)
     if found.ndim != 1 or (found.size and (found.min() < 0 or not np.issubdtype(found.dtype, np.integer))):
         raise _invalid("atoms", "atomic numbers are a list of whole numbers")
@@ -117,4 +127,5 @@ def _arrays(numbers: Any, positions: Any, cell: Any, occupancies: Any = None) ->
         "positions": places,
         "cell": vectors.tolist(),
         "occupancies": None if occupancies is None else [float(share) for share in occupancies],
+        "displacements": None if displacements is None else _tensors(displacements, len(found)),
     }

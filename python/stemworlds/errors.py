@@ -116,6 +116,7 @@ _KEYWORDS: dict[str, str | None] = {
     "Occupancy": "atoms",
     "SiteOccupancy": "atoms",
     "ThermalSigma": "sigma",
+    "Displacements": "displacements",
     "Temperature": "temperature_k",
     "ClusterDiameterNm": None,
     "Algorithm": "engine",

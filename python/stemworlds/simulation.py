@@ -65,7 +65,10 @@ class SimulationOptions(TypedDict, total=False):
         repeat: number of repetitions of the cell (after ``zone``) along x, y and the beam.
         phonons: number of frozen-phonon configurations to average; needs ``sigma``. Default: no displacements.
         sigma: standard deviation of each Cartesian component of the thermal displacement in A: one value for all atoms; one for each
-            element; ``"from-file"``, from U or B of a CIF; or ``"table"``, the values of elemental crystals (Peng et al. 1996).
+            element; ``"from-file"``, from U or B of a CIF, anisotropic where it gives them; or ``"table"``, the values of elemental
+            crystals (Peng et al. 1996).
+        displacements: mean square displacements of each atom in A², ``[atom, 3, 3]``, along x, y and z as the positions; instead of
+            ``sigma``, for atoms in memory.
         temperature_k: temperature of ``sigma="table"`` in K, 200 to 400; 293 by default.
         frames: frames of a trajectory (extended XYZ, XDATCAR) to average, ``range(10, 200, 5)``.
         seed: seed of thermal displacements, mixed sites and counted electrons. Default 1.
@@ -116,6 +119,7 @@ class SimulationOptions(TypedDict, total=False):
     repeat: tuple[int, int, int] | None
     phonons: int | None
     sigma: Sigma | None
+    displacements: npt.ArrayLike | None
     temperature_k: float | None
     frames: range | None
     seed: int
@@ -463,10 +467,15 @@ def _request(atoms: Atoms, options: SimulationOptions) -> tuple[_core.Simulation
     unknown = options.keys() - SimulationOptions.__annotations__.keys()
     if unknown:
         raise TypeError(f"unexpected keyword argument {sorted(unknown)[0]!r}")
-    source = atoms_source(atoms)
+    displacements = options.get("displacements")
+    source = atoms_source(atoms, displacements)
     # None is the default of options with None in their type. For other options the library reports it as an error.
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None or key not in _NULLABLE}
     request: Any = {"structure": source if isinstance(source, str) else "", **_tables(given)}
+    if displacements is not None:
+        if "sigma" in given:
+            raise _invalid("displacements", "displacements and sigma exclude each other")
+        request["specimen"]["sigma_angstrom"] = "from-file"
     if "scan" in given:
         request["scan"] = given["scan"]._request()
     if "thicknesses_angstrom" in given:

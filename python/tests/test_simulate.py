@@ -283,3 +283,27 @@ def test_displacements_come_from_a_table(silicon: Any) -> None:
     with pytest.raises(sw.InvalidValue, match="200 to 400 K") as told:
         sw.simulate(silicon, sigma="table", temperature_k=1e3, **options)
     assert told.value.keyword == "temperature_k"
+
+
+def test_displacements_of_each_atom_are_tensors(silicon: Any, caplog: pytest.LogCaptureFixture) -> None:
+    options: dict[str, Any] = {"scan": SCAN, "phonons": 1, "engine": "multislice", "sampling_angstrom": 0.1, "detectors": {"ADF": (40, 80)}}
+    isotropic = np.broadcast_to(0.08**2 * np.eye(3), (len(silicon), 3, 3))
+    same = sw.simulate(silicon, displacements=isotropic, **options).array
+    assert np.array_equal(same, sw.simulate(silicon, sigma=0.08, **options).array)
+    along_x, along_y = (np.broadcast_to(np.diag(u), isotropic.shape) for u in ([0.02, 0, 0], [0, 0.02, 0]))
+    one, two = (sw.simulate(silicon, displacements=u, **options).array for u in (along_x, along_y))
+    assert np.abs(one - two).max() > 0.01 * one.max()
+    assert "anisotropic displacements that come with the atoms are used for all 144 atoms" in caplog.text
+    wrong: list[tuple[Any, str]] = [
+        (isotropic[1:], "expected \\(144, 3, 3\\)"),
+        (-isotropic, "atoms\\[0\\].*expected none below 0"),
+        (2e3 * isotropic, "expected at most 1"),
+    ]
+    for array, expected in wrong:
+        with pytest.raises(sw.InvalidValue, match=expected) as told:
+            sw.simulate(silicon, displacements=array, **options)
+        assert told.value.keyword == "displacements"
+    with pytest.raises(sw.InvalidValue, match="exclude each other"):
+        sw.simulate(silicon, displacements=isotropic, sigma=0.08, **options)
+    with pytest.raises(sw.InvalidValue, match="atoms in memory"):
+        sw.simulate(ROOT / "structures/si.cif", displacements=isotropic, **options)

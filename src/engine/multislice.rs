@@ -608,7 +608,13 @@ mod tests {
             let (x, z) = turned(x, z, 0.47);
             if x * x + y * y + z * z < 81.0 {
                 let position = [(x + 3.0).rem_euclid(cell), y + 10.0, z + 10.0];
-                sites.push(Site { position, number: 78, sigma_angstrom: 0.0, key: n as u64 });
+                sites.push(Site {
+                    position,
+                    number: 78,
+                    sigma_angstrom: 0.0,
+                    anisotropy: None,
+                    key: n as u64,
+                });
             }
         }
         sites

@@ -95,6 +95,9 @@ pub fn series_digest(plans: &[Plan], frames: &[&[Site]], scan: &Scan) -> String 
             digest.update([site.number]);
             digest.update(site.sigma_angstrom.to_le_bytes());
             digest.update(site.key.to_le_bytes());
+            if let Some(anisotropy) = site.anisotropy {
+                anisotropy.components().iter().for_each(|x| digest.update(x.to_le_bytes()));
+            }
         }
     }
     digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()

@@ -225,7 +225,13 @@ mod tests {
 
     fn sites() -> Vec<Site> {
         let atoms = [([1.0, 1.2, 1.0], 38), ([3.1, 3.0, 3.0], 22), ([2.9, 0.9, 3.1], 8)];
-        let site = |(key, (position, number))| Site { position, number, sigma_angstrom: 0.08, key };
+        let site = |(key, (position, number))| Site {
+            position,
+            number,
+            sigma_angstrom: 0.08,
+            anisotropy: None,
+            key,
+        };
         (0..).zip(atoms).map(site).collect()
     }
 

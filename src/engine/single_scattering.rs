@@ -352,7 +352,7 @@ mod tests {
         let (cell, step) = (16.0, 0.25);
         for (number, depth, tolerance) in [(6, 0.5, 0.002), (6, 40.0, 0.007), (78, 20.0, 0.012)] {
             let position = [8.1, 7.95, depth];
-            let site = Site { position, number, sigma_angstrom: 0.0, key: 0 };
+            let site = Site { position, number, sigma_angstrom: 0.0, anisotropy: None, key: 0 };
             let plan = Plan::new(&settings, [cell, cell, depth + 1.0], &[depth]).unwrap();
             let scan =
                 Scan { origin_angstrom: [4.0, 8.0], step_angstrom: [step; 2], shape: [1, 32] };

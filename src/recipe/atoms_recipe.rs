@@ -80,7 +80,7 @@ fn phonons_of(path: &Path, atoms: &LabelledAtoms) -> PhononTable {
         let sigma = |symbol: &String| sigmas.of(elements::atomic_number(symbol).ok()?).ok();
         symbols.iter().map(|symbol| Some((symbol.clone(), sigma(symbol)?))).collect()
     };
-    match stated.as_ref().and_then(of) {
+    match stated.and_then(|file| of(&file.sigmas)) {
         Some(sigma_angstrom) => PhononTable { configurations: CONFIGURATIONS, sigma_angstrom },
         None => {
             let still = symbols.iter().map(|symbol| (symbol.clone(), 0.0)).collect();

@@ -10,8 +10,8 @@ use crate::engine::{Phonons, Site, mean_heights};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use crate::structure::{
-    self, FrameRange, Preparation, ROOM_TEMPERATURE_K, ReadStructure, Sigmas, Structure, elements,
-    read_frames, tabulated_sigma_angstrom,
+    self, Atom, FileSigmas, FrameRange, Preparation, ROOM_TEMPERATURE_K, ReadStructure, Sigmas,
+    Structure, elements, read_frames, tabulated_sigma_angstrom,
 };
 
 /// Where atoms come from.
@@ -33,7 +33,8 @@ pub enum SigmaChoice {
     All(f64),
     /// One for each element, by symbol, in Angstrom.
     ByElement(BTreeMap<String, f64>),
-    /// The mean U or B of each element in the structure file.
+    /// The displacements that come with the atoms: U or B of the structure file, anisotropic where the file gives them, or
+    /// [`Atom::displacement`] of given atoms.
     FromFile(FromFile),
     /// That of each element in a crystal of its own, at [`SpecimenRequest::temperature_k`].
     FromTable(FromTable),
@@ -50,7 +51,7 @@ pub enum FromTable {
 /// `"from-file"`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FromFile {
-    /// The mean U or B of each element in the structure file.
+    /// [`SigmaChoice::FromFile`].
     #[serde(rename = "from-file")]
     FromFile,
 }
@@ -185,8 +186,13 @@ impl SpecimenRequest {
                 notes.push(note);
                 sigmas
             }
-            None => self.sigmas(source)?,
+            None => {
+                let found = self.sigmas(source)?;
+                notes.extend(found.notes);
+                found.sigmas
+            }
         };
+        notes.extend(anisotropic_note(&sigmas, &made.structure));
         let sites = made.structure.sites(&sigmas)?;
         Ok(PreparedSpecimen {
             size_angstrom: made.size_angstrom,
@@ -265,8 +271,8 @@ impl SpecimenRequest {
         Ok(Some((Sigmas::ByElement(by_number), note)))
     }
 
-    fn sigmas(&self, source: &AtomsSource) -> Result<Sigmas> {
-        Ok(match (&self.sigma_angstrom, source) {
+    fn sigmas(&self, source: &AtomsSource) -> Result<FileSigmas> {
+        let sigmas = match (&self.sigma_angstrom, source) {
             // The table is read later, when the elements are known.
             (None | Some(SigmaChoice::FromTable(_)), _) => Sigmas::None,
             (Some(SigmaChoice::All(sigma)), _) => Sigmas::All(*sigma),
@@ -284,14 +290,20 @@ impl SpecimenRequest {
                 Sigmas::ByElement(by_number)
             }
             (Some(SigmaChoice::FromFile(_)), AtomsSource::File(path)) => {
-                structure::sigmas_of_file(path)?
+                return structure::sigmas_of_file(path);
+            }
+            (Some(SigmaChoice::FromFile(_)), AtomsSource::Given(structure))
+                if structure.atoms.iter().all(|atom| atom.displacement.is_some()) =>
+            {
+                Sigmas::OfAtoms(BTreeMap::new())
             }
             (Some(SigmaChoice::FromFile(_)), AtomsSource::Given(_)) => {
                 let expected =
                     "atoms in memory have no file; expected a length in A, or one for each element";
                 return Err(Error::invalid(Setting::ThermalSigma, "from-file", expected));
             }
-        })
+        };
+        Ok(FileSigmas { sigmas, notes: Vec::new() })
     }
 
     /// Reads frames. Slices are made for the mean heights if all frames have equally many atoms.
@@ -322,6 +334,18 @@ impl SpecimenRequest {
         prepared.heights_angstrom = mean_heights(&prepared.frames());
         Ok(prepared)
     }
+}
+
+/// Returns the warning that lists how many atoms have anisotropic displacements.
+fn anisotropic_note(sigmas: &Sigmas, structure: &Structure) -> Option<String> {
+    let own = |atom: &&Atom| atom.displacement.is_some();
+    let (count, all) = (structure.atoms.iter().filter(own).count(), structure.atoms.len());
+    (matches!(sigmas, Sigmas::OfAtoms(_)) && count > 0).then(|| match count == all {
+        true => format!("anisotropic displacements that come with the atoms are used for all {all} atoms"),
+        false => format!(
+            "anisotropic displacements of the file are used for {count} of {all} atoms, the mean U or B of the element for the others"
+        ),
+    })
 }
 
 /// Notes on the frames of a trajectory. Sentences that differ only in their numbers are kept once.
@@ -359,7 +383,6 @@ impl FrameNotes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::structure::Atom;
 
     fn silicon() -> AtomsSource {
         let cell = [[5.431, 0.0, 0.0], [0.0, 5.431, 0.0], [0.0, 0.0, 5.431]];

@@ -40,6 +40,7 @@ impl SpecimenSite {
             position: lengths::angstrom([x - corner_nm[0], y - corner_nm[1], z]),
             number: self.number,
             sigma_angstrom: phonons.sigma_angstrom(self.number),
+            anisotropy: None,
             key: self.key,
         })
     }

@@ -129,6 +129,7 @@ impl CarbonLayer {
             ],
             number: CARBON,
             sigma_angstrom: self.sigma_angstrom,
+            anisotropy: None,
             key: self.key | atom.key,
         };
         self.film.atoms(&[x, y]).into_iter().map(site).collect()

@@ -11,6 +11,7 @@ pub(crate) mod columns;
 pub mod crystals;
 mod debye_waller;
 pub mod direction;
+mod displacement_tensor;
 pub mod elements;
 mod exclusive_sites;
 mod foreign_formats;
@@ -32,6 +33,7 @@ mod xyz_labels;
 
 pub use alternatives::Alternative;
 pub(crate) use debye_waller::{ROOM_TEMPERATURE_K, tabulated_sigma_angstrom};
+pub use displacement_tensor::{Anisotropy, DisplacementTensor};
 pub use frames::{FrameRange, read_frames};
 pub(crate) use labelled_atoms::{LabelledAtom, LabelledAtoms, SiteLabel};
 pub(crate) use neighbors::for_each_pair;
@@ -41,7 +43,9 @@ pub(crate) use preparation::Preparation;
 #[cfg(all(test, feature = "hdf5"))]
 pub(crate) use read::PARSED;
 pub(crate) use read::parse_labelled;
-pub use read::{Format, ReadStructure, parse, parse_noted, read, read_noted, sigmas_of_file};
+pub use read::{
+    FileSigmas, Format, ReadStructure, parse, parse_noted, read, read_noted, sigmas_of_file,
+};
 pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};
 
 /// Upper bound of the distance of neighbouring pairs in any crystal, in Angstrom.
@@ -61,12 +65,14 @@ pub struct Atom {
     pub occupancy: f64,
     /// The place and the alternative that this atom belongs to, if the place can be filled in several ways.
     pub alternative: Option<Alternative>,
+    /// Thermal displacement on the axes of `position`, if it differs with the direction.
+    pub displacement: Option<DisplacementTensor>,
 }
 
 impl Atom {
     /// Makes an atom that occupies its site alone, at a position in Angstrom.
     pub fn new(number: u8, position: [f64; 3]) -> Self {
-        Atom { number, position, occupancy: 1.0, alternative: None }
+        Atom { number, position, occupancy: 1.0, alternative: None, displacement: None }
     }
 }
 

@@ -210,6 +210,7 @@ impl Structure {
             ));
         };
         let lengths = vectors.map(norm);
+        let turned = frame(&vectors);
         let places = CopiedPlaces::of(self);
         let mut atoms = Vec::with_capacity(self.atoms.len());
         let mut copy = 0;
@@ -221,7 +222,8 @@ impl Structure {
                         let moved = std::array::from_fn(|a| atom.position[a] + shift[a]);
                         let fraction = row_times(moved, &to_fraction).map(wrap_unit);
                         let position = std::array::from_fn(|a| fraction[a] * lengths[a]);
-                        places.atom(&Atom { position, ..*atom }, copy)
+                        let displacement = atom.displacement.map(|u| u.turned(&turned));
+                        places.atom(&Atom { position, displacement, ..*atom }, copy)
                     }));
                     copy += 1;
                 }
@@ -233,6 +235,15 @@ impl Structure {
         }
         Ok(Structure { cell, atoms })
     }
+}
+
+/// Returns the axes x, y and z of a box with these nearly orthogonal edges: z is exact. Tensors are turned with the crystal, but not
+/// strained.
+fn frame(edges: &Mat3) -> Mat3 {
+    let unit = |v: Vec3| v.map(|x| x / norm(v));
+    let z = unit(edges[2]);
+    let x = unit(cross(edges[1], z));
+    [x, cross(z, x), z]
 }
 
 fn reduced(setting: Setting, given: [i32; 3]) -> Result<Indices> {

@@ -95,18 +95,28 @@ pub fn read_noted(path: &Path) -> Result<ReadStructure> {
     parse_noted(format, &whole_file::read(path, format.most_bytes())?, path)
 }
 
-/// Returns the thermal displacements in a CIF (U or B of its sites), averaged for each element.
+/// The thermal displacements in a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FileSigmas {
+    /// [`Sigmas::OfAtoms`] for the structure in the file.
+    pub sigmas: Sigmas,
+    /// Warnings, as sentences for the user.
+    pub notes: Vec<String>,
+}
+
+/// Returns the thermal displacements in a CIF: anisotropic ones are used atom by atom, isotropic U or B of the other atoms are averaged for
+/// each element.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Parse`] for another format, and for atoms without a value.
-pub fn sigmas_of_file(path: &Path) -> Result<Sigmas> {
+pub fn sigmas_of_file(path: &Path) -> Result<FileSigmas> {
     if Format::from_path(path)? != Format::Cif {
         let message = "contains no thermal displacements; only a CIF can (U or B of its sites)";
         return Err(Error::parse(path, 0, message));
     }
     let text = whole_file::read_text(path, Format::Cif.most_bytes())?;
     let text = SourceText { path, body: text.strip_prefix('\u{feff}').unwrap_or(&text) };
-    Ok(Sigmas::ByElement(cif::displacements(&text)?))
+    cif::displacements(&text)
 }
 
 /// Reads a structure from memory like [`parse_noted`], without the warnings.

@@ -1,6 +1,6 @@
 //! Lattice sites for the simulation: atoms that vibrate.
 
-use super::{Structure, elements};
+use super::{Anisotropy, Atom, Structure, elements};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use std::collections::BTreeMap;
@@ -15,11 +15,25 @@ pub struct Site {
     pub position: [f64; 3],
     /// Atomic number.
     pub number: u8,
-    /// Standard deviation of each Cartesian component of the thermal displacement, in Angstrom.
+    /// Standard deviation of each Cartesian component of the thermal displacement, in Angstrom; with an anisotropy, the root mean square of
+    /// the three.
     pub sigma_angstrom: f64,
+    /// Dependence of the displacement on the direction, if there is one.
+    pub anisotropy: Option<Anisotropy>,
     /// Identifies the site for the random numbers: its displacement in configuration `c` depends on (seed, c, key) only, and not on the
     /// simulated box.
     pub key: u64,
+}
+
+impl Site {
+    /// Returns the mean square displacements `<u_i u_j>` in square Angstrom.
+    pub fn displacement_tensor(&self) -> [[f64; 3]; 3] {
+        let square = self.sigma_angstrom * self.sigma_angstrom;
+        match self.anisotropy {
+            Some(anisotropy) => anisotropy.tensor(self.sigma_angstrom),
+            None => [[square, 0.0, 0.0], [0.0, square, 0.0], [0.0, 0.0, square]],
+        }
+    }
 }
 
 /// Vibration of the atoms of a structure: the standard deviation of each Cartesian component of their thermal displacements, in Angstrom.
@@ -31,9 +45,19 @@ pub enum Sigmas {
     All(f64),
     /// Values by atomic number.
     ByElement(BTreeMap<u8, f64>),
+    /// The displacement of each atom ([`Atom::displacement`]); values by atomic number for atoms without one.
+    OfAtoms(BTreeMap<u8, f64>),
 }
 
 impl Sigmas {
+    /// Returns the standard deviation of an atom in Angstrom, and how its displacement depends on the direction.
+    fn of_atom(&self, atom: &Atom) -> Result<(f64, Option<Anisotropy>)> {
+        match (self, atom.displacement) {
+            (Sigmas::OfAtoms(_), Some(own)) => Ok((own.sigma_angstrom(), own.anisotropy())),
+            _ => Ok((self.of(atom.number)?, None)),
+        }
+    }
+
     /// Returns the standard deviation of an element in Angstrom.
     ///
     /// # Errors
@@ -42,11 +66,17 @@ impl Sigmas {
         let sigma = match self {
             Sigmas::None => 0.0,
             Sigmas::All(sigma) => *sigma,
-            Sigmas::ByElement(values) => *values.get(&number).ok_or_else(|| {
-                let symbol = elements::symbol(number);
-                let value = format!("none for {symbol}");
-                Error::invalid(Setting::ThermalSigma, value, format!("add one for {symbol}, in A"))
-            })?,
+            Sigmas::ByElement(values) | Sigmas::OfAtoms(values) => {
+                *values.get(&number).ok_or_else(|| {
+                    let symbol = elements::symbol(number);
+                    let value = format!("none for {symbol}");
+                    Error::invalid(
+                        Setting::ThermalSigma,
+                        value,
+                        format!("add one for {symbol}, in A"),
+                    )
+                })?
+            }
         };
         if (0.0..=LARGEST_SIGMA_ANGSTROM).contains(&sigma) {
             return Ok(sigma);
@@ -64,16 +94,18 @@ impl Structure {
     /// [`Error::Invalid`] with the name of an element without a standard deviation, for a value outside 0 to 1 A, and for sites that are
     /// partly occupied: [`Structure::resolve_occupancy`] draws their atoms first.
     pub fn sites(&self, sigmas: &Sigmas) -> Result<Vec<Site>> {
-        let site = |(index, atom): (usize, &super::Atom)| {
+        let site = |(index, atom): (usize, &Atom)| {
             if atom.occupancy != 1.0 {
                 let value = format!("{} (atom {})", atom.occupancy, index + 1);
                 let expected = "draw the atoms of mixed sites first";
                 return Err(Error::invalid(Setting::Occupancy, value, expected));
             }
+            let (sigma_angstrom, anisotropy) = sigmas.of_atom(atom)?;
             Ok(Site {
                 position: atom.position,
                 number: atom.number,
-                sigma_angstrom: sigmas.of(atom.number)?,
+                sigma_angstrom,
+                anisotropy,
                 key: index as u64,
             })
         };
@@ -98,7 +130,13 @@ mod tests {
         let sites = structure().sites(&both).unwrap();
         assert_eq!(
             sites[1],
-            Site { position: [2.5, 1.0, 2.0], number: 8, sigma_angstrom: 0.085, key: 1 }
+            Site {
+                position: [2.5, 1.0, 2.0],
+                number: 8,
+                sigma_angstrom: 0.085,
+                anisotropy: None,
+                key: 1,
+            }
         );
         assert_eq!((sites[0].number, sites[0].sigma_angstrom, sites[0].key), (38, 0.084, 0));
         let sigmas = |s: Sigmas| -> Vec<f64> {

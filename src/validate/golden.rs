@@ -232,5 +232,11 @@ pub fn like_abtem(base: &Settings, grid: GridChoice, slice_angstrom: f64) -> Set
 }
 
 fn site((key, atom): (usize, &structure::Atom)) -> Site {
-    Site { position: atom.position, number: atom.number, sigma_angstrom: 0.0, key: key as u64 }
+    Site {
+        position: atom.position,
+        number: atom.number,
+        sigma_angstrom: 0.0,
+        anisotropy: None,
+        key: key as u64,
+    }
 }

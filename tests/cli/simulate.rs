@@ -243,6 +243,28 @@ fn frames_and_displacements_come_from_files() {
     assert!(printed.contains("200 to 400 K") && printed.contains("--temperature"), "{printed}");
 }
 
+/// Anisotropic displacements of a CIF: the plan prints them, and a site without a vibration is named.
+#[test]
+fn anisotropic_displacements_are_printed() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = std::fs::read_to_string(file("tests/structures/good/trigonal_u.cif")).unwrap();
+    let bad = text.replace("0.0080 0.0062 0.0095", "0.0080 0.0062 -0.0095");
+    assert_ne!(bad, text);
+    for (text, expected) in [
+        (text, ["anisotropic displacements", "all 36 atoms"]),
+        (bad, ["Si1 (-0.0095)", "for 24 of 36 atoms"]),
+    ] {
+        std::fs::write(folder.path().join("u.cif"), text).unwrap();
+        let mut command = stemgen(folder.path());
+        command.args(["simulate", "u.cif", "--zone", "0,0,1", "--repeat", "1,1,2", "--dry-run"]);
+        command.args(["--phonons", "2", "--sigma", "from-file", "--engine", "multislice"]);
+        let run = command.output().unwrap();
+        let printed = String::from_utf8_lossy(&run.stderr) + String::from_utf8_lossy(&run.stdout);
+        assert!(run.status.success(), "{printed}");
+        assert!(expected.iter().all(|part| printed.contains(part)), "{printed}");
+    }
+}
+
 /// The same command gives the same bytes, at any time.
 #[test]
 fn the_same_command_writes_the_same_file() {

@@ -26,6 +26,7 @@ fn crystal(file: &str, zone: [i32; 3], repeat: [usize; 3], sigma: f64) -> Specim
         position: a.position,
         number: a.number,
         sigma_angstrom: sigma,
+        anisotropy: None,
         key: key as u64,
     };
     let sites = structure.atoms.iter().enumerate().map(site).collect();
@@ -45,7 +46,13 @@ fn tilted_platinum(sigma: f64) -> Specimen {
         let (x, z) = turned(x, z, 0.06);
         if x * x + y * y + z * z < 144.0 {
             let position = [x + 18.0, y + 18.0, z + 14.0];
-            sites.push(Site { position, number: 78, sigma_angstrom: sigma, key: n as u64 });
+            sites.push(Site {
+                position,
+                number: 78,
+                sigma_angstrom: sigma,
+                anisotropy: None,
+                key: n as u64,
+            });
         }
     }
     Specimen { sites, cell: [36.0, 36.0, 28.0] }

@@ -63,6 +63,7 @@ fn every_engine_counts_the_shares() {
             position: [3.9 + 0.3 * n as f64, 4.1, 2.0 * n as f64 + 1.0],
             number: [38, 22, 8][n % 3],
             sigma_angstrom: 0.0,
+            anisotropy: None,
             key: n as u64,
         })
         .collect();

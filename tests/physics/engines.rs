@@ -31,7 +31,7 @@ fn srtio3(cells: [usize; 3]) -> (Vec<Site>, [f64; 3]) {
                         (iz as f64 + p[2] + 0.25) * A,
                     ];
                     let key = sites.len() as u64;
-                    sites.push(Site { position, number, sigma_angstrom, key });
+                    sites.push(Site { position, number, sigma_angstrom, anisotropy: None, key });
                 }
             }
         }
@@ -48,7 +48,7 @@ fn platinum(cells: [usize; 3]) -> (Vec<Site>, [f64; 3]) {
         for p in [[0.0, 0.0, 0.25], [0.5, 0.5, 0.25], [0.5, 0.0, 0.75], [0.0, 0.5, 0.75]] {
             let position = [0, 1, 2].map(|k| (cell[k] as f64 + p[k]) * EDGE);
             let key = sites.len() as u64;
-            sites.push(Site { position, number: 78, sigma_angstrom: 0.07, key });
+            sites.push(Site { position, number: 78, sigma_angstrom: 0.07, anisotropy: None, key });
         }
     }
     (sites, cells.map(|n| n as f64 * EDGE))
@@ -275,7 +275,7 @@ fn cores_in_closed_form_agree_with_refined_potentials() {
         .map(|i| {
             let turn = f64::from(i) * 0.618_034;
             let position = [f64::from(i) * 0.49, turn.fract() * 11.7, 1.9 * f64::from(i % 6) + 1.0];
-            Site { position, number: 38, sigma_angstrom: 0.0, key: i as u64 }
+            Site { position, number: 38, sigma_angstrom: 0.0, anisotropy: None, key: i as u64 }
         })
         .collect();
     for (sites, cell) in [(perovskite, cell), (disorder, [11.76, 11.7, 11.4])] {

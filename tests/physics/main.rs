@@ -2,6 +2,7 @@
 
 mod accuracy;
 mod acquisition;
+mod anisotropic;
 mod carbon;
 #[path = "../common/cases.rs"]
 mod cases;

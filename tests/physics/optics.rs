@@ -24,7 +24,7 @@ fn crystal(cells: [usize; 3]) -> (Vec<Site>, [f64; 3]) {
         for (number, p) in basis {
             let position = [0, 1, 2].map(|k| (cell[k] as f64 + p[k]) * A);
             let key = sites.len() as u64;
-            sites.push(Site { position, number, sigma_angstrom: 0.0, key });
+            sites.push(Site { position, number, sigma_angstrom: 0.0, anisotropy: None, key });
         }
     }
     (sites, cells.map(|n| n as f64 * A))

@@ -36,7 +36,7 @@ fn srtio3(n: usize, nz: usize) -> (Vec<Site>, [f64; 3]) {
         for (number, p) in basis {
             let position = [0, 1, 2].map(|k| (cell[k] as f64 + p[k]) * EDGE);
             let key = sites.len() as u64;
-            sites.push(Site { position, number, sigma_angstrom: 0.08, key });
+            sites.push(Site { position, number, sigma_angstrom: 0.08, anisotropy: None, key });
         }
     }
     (sites, [n, n, nz].map(|n| n as f64 * EDGE))

@@ -123,7 +123,13 @@ fn numerics() -> impl Strategy<Value = Settings> {
 }
 
 fn sites() -> Vec<Site> {
-    let site = |key, position, number| Site { position, number, sigma_angstrom: 0.08, key };
+    let site = |key, position, number| Site {
+        position,
+        number,
+        sigma_angstrom: 0.08,
+        anisotropy: None,
+        key,
+    };
     vec![site(0, [1.5, 1.5, 1.0], 38), site(1, [4.0, 5.0, 3.0], 8)]
 }
 

@@ -139,7 +139,13 @@ mod tests {
     fn sample() -> (ProbeSample, Vec<f64>) {
         let scan =
             Scan { origin_angstrom: [1.0, 2.0], step_angstrom: [0.25, 0.3], shape: [37, 50] };
-        let site = |position, number| Site { position, number, sigma_angstrom: 0.0, key: 0 };
+        let site = |position, number| Site {
+            position,
+            number,
+            sigma_angstrom: 0.0,
+            anisotropy: None,
+            key: 0,
+        };
         let sites = [site([4.0, 5.0, 0.0], 79), site([38.0, 9.0, 0.0], 8)];
         let bright = brightness(&scan, sites.iter(), [30.0, 30.0]);
         (ProbeSample::new(&scan, sites.iter(), [30.0, 30.0]), bright)

@@ -403,7 +403,13 @@ mod tests {
 
     #[test]
     fn heights_are_means_over_frames_with_as_many_atoms() {
-        let at = |z: f64| Site { position: [0.0, 0.0, z], number: 6, sigma_angstrom: 0.0, key: 0 };
+        let at = |z: f64| Site {
+            position: [0.0, 0.0, z],
+            number: 6,
+            sigma_angstrom: 0.0,
+            anisotropy: None,
+            key: 0,
+        };
         let (a, b) = ([at(1.0), at(2.0)], [at(3.0), at(2.0)]);
         assert_eq!(mean_heights(&[&a, &b]), [2.0, 2.0]);
         assert_eq!(mean_heights(&[&a, &b[..1]]), [1.0, 2.0]);

@@ -137,6 +137,7 @@ impl GrownCarbon {
             position: atom.position,
             number: CARBON,
             sigma_angstrom: self.sigma_angstrom,
+            anisotropy: None,
             key: KEY | atom.key,
         };
         let mut coming: Vec<Site> = self.film.atoms(&[x, y]).into_iter().map(site).collect();

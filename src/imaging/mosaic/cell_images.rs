@@ -250,7 +250,7 @@ impl CellImages {
             }
             let n = rng::normal3(seed, Purpose::Library, configuration as u32, key);
             let position = std::array::from_fn(|k| site.position[k] + sigma(number) * n[k]);
-            atoms.push(Site { position, number, sigma_angstrom: 0.0, key });
+            atoms.push(Site { position, number, sigma_angstrom: 0.0, anisotropy: None, key });
         };
         for (n, unit) in self.library_cell.units.iter().enumerate() {
             let pattern = &unit.patterns[library_cell];

@@ -3,6 +3,7 @@
 use super::cif_numbers::with_uncertainty;
 use super::tokens::DataBlock;
 use crate::error::Result;
+use crate::structure::displacement_tensor::sandwich;
 use crate::structure::lattice::{Mat3, Vec3, inverse, row_times, subtract};
 use crate::structure::source_text::SourceText;
 
@@ -69,6 +70,11 @@ impl CartesianFrame {
     /// Returns the fractions of the cell of a Cartesian position in Angstrom.
     pub fn fractions(&self, position: Vec3) -> Vec3 {
         row_times(subtract(position, self.origin), &self.matrix)
+    }
+
+    /// Returns the components along the vectors of the cell of a tensor with these Cartesian components.
+    pub fn tensor_along_cell(&self, u: &Mat3) -> Mat3 {
+        sandwich(&transposed(self.matrix), u)
     }
 }
 

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
+use super::anisotropic_sites::SiteTensor;
 use super::atom_tables::CifSite;
 use super::cif_numbers::with_uncertainty;
 use super::tokens::{DataBlock, Loop};
@@ -14,11 +15,11 @@ const U: &str = "_atom_site_u_iso_or_equiv";
 const B: &str = "_atom_site_b_iso_or_equiv";
 const ANISOTROPIC_LABEL: &str = "_atom_site_aniso_label";
 /// Components of a symmetric tensor, in the order of the columns.
-const COMPONENTS: [[usize; 2]; 6] = [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]];
+pub const COMPONENTS: [[usize; 2]; 6] = [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]];
 
 /// Notation of an anisotropic displacement.
 #[derive(Clone, Copy)]
-enum Notation {
+pub enum Notation {
     /// U in square Angstrom, on the reciprocal axes.
     U,
     /// B = 8 pi^2 U.
@@ -28,10 +29,10 @@ enum Notation {
 }
 
 impl Notation {
-    const ALL: [(Self, &str); 3] = [(Self::U, "u"), (Self::B, "b"), (Self::Beta, "beta")];
+    pub const ALL: [(Self, &str); 3] = [(Self::U, "u"), (Self::B, "b"), (Self::Beta, "beta")];
 
     /// Returns the contribution of a component of value 1 to U on the axes of the cell: `U_ij a*_i a*_j`.
-    fn scale(self, reciprocal: [f64; 2]) -> f64 {
+    pub fn scale(self, reciprocal: [f64; 2]) -> f64 {
         match self {
             Notation::U => reciprocal[0] * reciprocal[1],
             Notation::B => reciprocal[0] * reciprocal[1] / (8.0 * PI * PI),
@@ -41,16 +42,17 @@ impl Notation {
 }
 
 /// Returns the standard deviation of each Cartesian component in Angstrom, by element: the root of the mean U of its sites. Sites without
-/// an isotropic value take the equivalent one of their anisotropic displacement.
+/// an isotropic value take the equivalent one of their anisotropic displacement, which is one of `tensors` if it is complete.
 pub fn displacements(
     text: &SourceText,
     block: &DataBlock,
     cell: &Mat3,
     sites: &[CifSite],
+    tensors: &[Option<SiteTensor>],
 ) -> Result<BTreeMap<u8, f64>> {
     let anisotropic = block.tables(&[ANISOTROPIC_LABEL]);
     let mut means: BTreeMap<u8, (f64, usize)> = BTreeMap::new();
-    for site in sites {
+    for (site, tensor) in sites.iter().zip(tensors) {
         let u = match (site.value(&[U]), site.value(&[B])) {
             (Some(u), _) => Some(with_uncertainty(text, site.line, U, u)?),
             (None, Some(b)) => Some(of_b(with_uncertainty(text, site.line, B, b)?)),
@@ -59,6 +61,7 @@ pub fn displacements(
                 None => None,
             },
         };
+        let u = u.or_else(|| tensor.map(|tensor| tensor.mean(cell)));
         let Some(u) = u else {
             let message =
                 format!("this atom has neither `{U}` nor `{B}`; give a sigma for each element");

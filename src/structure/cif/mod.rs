@@ -2,6 +2,7 @@
 //!
 //! Cell vector a lies along x and b in the xy plane.
 
+mod anisotropic_sites;
 mod atom_labels;
 mod atom_tables;
 mod cartesian_sites;
@@ -16,8 +17,9 @@ mod tokens;
 use std::collections::BTreeMap;
 
 use super::lattice::{Mat3, Vec3, norm, row_times, wrap_unit};
+use super::read::FileSigmas;
 use super::source_text::SourceText;
-use super::{Atom, Structure};
+use super::{Atom, Sigmas, Structure};
 use crate::error::Result;
 use atom_tables::{CifSite, holds_atoms, sites};
 use cif_numbers::with_uncertainty;
@@ -43,6 +45,8 @@ pub(super) fn parse(text: &SourceText) -> Result<(Structure, Vec<String>)> {
     let sites = sites(text, block, &cell, formula.as_ref(), &mut notes)?;
     let count = sites.len().saturating_mul(operations.len());
     text.check_count_to(block.line, count, MOST_ATOMS)?;
+    // Faults of displacements are reported where displacements are asked for.
+    let tensors = anisotropic_sites::tensors(text, block, &cell, &sites).unwrap_or_default();
     let mut groups = DisorderGroups::of(&sites, &mut notes);
     let (mut atoms, mut counts, mut composition) = (Vec::new(), Vec::new(), BTreeMap::new());
     for (index, site) in sites.iter().enumerate() {
@@ -53,7 +57,9 @@ pub(super) fn parse(text: &SourceText) -> Result<(Structure, Vec<String>)> {
         for (operation, image) in images {
             let position = row_times(image, &cell);
             let alternative = groups.alternative(index, operation);
-            atoms.push((site.line, Atom { position, alternative, ..site.atom }));
+            let tensor = tensors.get(index).copied().flatten();
+            let displacement = tensor.and_then(|t| t.displacement(&operations[operation], &cell));
+            atoms.push((site.line, Atom { position, alternative, displacement, ..site.atom }));
         }
     }
     notes.extend(formula_check::composition_note(block, &composition));
@@ -62,14 +68,17 @@ pub(super) fn parse(text: &SourceText) -> Result<(Structure, Vec<String>)> {
     Ok((structure, notes))
 }
 
-/// Returns the standard deviations of thermal displacements in Angstrom, by element.
-pub(super) fn displacements(text: &SourceText) -> Result<BTreeMap<u8, f64>> {
+/// Returns the displacements of the atoms: by element where atoms have no tensor of their own.
+pub(super) fn displacements(text: &SourceText) -> Result<FileSigmas> {
     let blocks = tokens::blocks(text)?;
     let block = block_of_atoms(text, &blocks)?;
     let cell = cell(text, block)?;
     let formula = formula_check::formula(block);
     let sites = sites(text, block, &cell, formula.as_ref(), &mut Vec::new())?;
-    displacements::displacements(text, block, &cell, &sites)
+    let tensors = anisotropic_sites::tensors(text, block, &cell, &sites)?;
+    let note = anisotropic_sites::unusable(text, &cell, &sites, &tensors)?;
+    let by_element = displacements::displacements(text, block, &cell, &sites, &tensors)?;
+    Ok(FileSigmas { sigmas: Sigmas::OfAtoms(by_element), notes: note.into_iter().collect() })
 }
 
 fn block_of_atoms<'b, 'a>(

@@ -45,6 +45,7 @@ fn kirkland(runner: &CheckRunner) -> Result<Findings> {
         position: [5.0 + 10.0 * i as f64, 25.0, 1.0],
         number: *number,
         sigma_angstrom: 0.0,
+        anisotropy: None,
         key: i as u64,
     };
     let sites: Vec<Site> = [6, 14, 29, 79, 92].iter().enumerate().map(site).collect();
@@ -101,7 +102,13 @@ fn exponent(runner: &CheckRunner) -> Result<Findings> {
     let scan = Scan { origin_angstrom: [4.5; 2], step_angstrom: [0.3; 2], shape: [11, 11] };
     let mut points = Vec::new();
     for number in NUMBERS {
-        let site = Site { position: [6.0, 6.0, 1.0], number, sigma_angstrom: 0.08, key: 0 };
+        let site = Site {
+            position: [6.0, 6.0, 1.0],
+            number,
+            sigma_angstrom: 0.08,
+            anisotropy: None,
+            key: 0,
+        };
         let images = runner.simulate(&settings, &[site], [12.0, 12.0, 2.0], &scan)?;
         let sum: f64 = images.data.iter().map(|v| f64::from(*v)).sum();
         // The integral is in square Angstrom.

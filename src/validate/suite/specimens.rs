@@ -23,7 +23,7 @@ pub fn srtio3(cells: [usize; 3]) -> Result<(Vec<Site>, [f64; 3])> {
             _ => 0.085,
         };
         let position = [x, y, (z + 0.25 * SRTIO3_ANGSTROM).rem_euclid(size[2])];
-        Site { position, number: atom.number, sigma_angstrom, key: key as u64 }
+        Site { position, number: atom.number, sigma_angstrom, anisotropy: None, key: key as u64 }
     };
     Ok((crystal.atoms.iter().enumerate().map(site).collect(), size))
 }

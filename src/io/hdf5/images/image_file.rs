@@ -13,7 +13,7 @@
 //!   link to the images above, or a virtual dataset of them: no value is stored twice. The attributes `default` lead to the first stack;
 //! - `/exit_wave` of a plane wave: complex64, (configuration, y, x), with `sampling_angstrom`;
 //! - `/specimen`: `cell` (rows are vectors) and `positions` in Angstrom, `numbers`,
-//!   `sigma_angstrom`; mean positions of the atoms that were simulated. The attribute `strain_percent` is the largest principal strain
+//!   `sigma_angstrom`, and `u_square_angstrom` (atom, 3, 3) of anisotropic displacements; mean positions of the atoms that were simulated. The attribute `strain_percent` is the largest principal strain
 //!   that made the box orthogonal, if there was any.
 
 use std::path::Path;
@@ -228,7 +228,14 @@ pub(crate) fn write_specimen(group: &Group, o: &Origin) -> hdf5::Result<()> {
     let numbers: Vec<i32> = o.sites.iter().map(|s| i32::from(s.number)).collect();
     group.new_dataset_builder().with_data(&numbers).create("numbers")?;
     let sigmas: Vec<f64> = o.sites.iter().map(|s| s.sigma_angstrom).collect();
-    group.new_dataset_builder().with_data(&sigmas).create("sigma_angstrom").map(drop)
+    group.new_dataset_builder().with_data(&sigmas).create("sigma_angstrom")?;
+    if o.sites.iter().all(|s| s.anisotropy.is_none()) {
+        return Ok(());
+    }
+    let u: Vec<_> = o.sites.iter().map(|s| s.displacement_tensor()).collect();
+    let u = ArrayView3::from_shape((u.len(), 3, 3), u.as_flattened().as_flattened())
+        .map_err(|e| hdf5::Error::Internal(e.to_string()))?;
+    group.new_dataset_builder().with_data(u).create("u_square_angstrom").map(drop)
 }
 
 fn write_stack(group: &Group, stack: &ImageStack) -> hdf5::Result<()> {
