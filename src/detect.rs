@@ -1,9 +1,11 @@
-//! Detectors: annuli, and pixelated ones.
+//! Detectors: annuli, their sectors and centres of mass, and pixelated ones.
 
+mod centre_of_mass;
 mod detector_mtf;
 mod pattern_detector;
 mod pixelated;
 mod radial_bins;
+mod seen_from;
 mod virtual_detector;
 
 use crate::error::{Error, Result};
@@ -11,6 +13,7 @@ use crate::setting::Setting;
 use num_complex::Complex32;
 use serde::{Deserialize, Serialize};
 
+pub use centre_of_mass::{CentreOfMass, ShownImage, shown_images};
 pub use detector_mtf::DetectorMtf;
 pub(crate) use detector_mtf::MtfFilter;
 pub use pattern_detector::PatternDetector;
@@ -45,16 +48,28 @@ pub struct Detector {
     /// annulus.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sector_degrees: Option<[f64; 2]>,
+    /// The part of a centre of mass that the detector is; without it, electrons are counted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub centre_of_mass: Option<CentreOfMass>,
 }
 
 /// Greatest number of sectors of an annulus.
 pub const MOST_SECTORS: usize = 360;
+/// The word for a centre of mass in the place of a number of sectors.
+const CENTRE_OF_MASS: &str = "com";
 
 impl Detector {
     /// A named annulus.
     pub fn new(name: &str, inner_mrad: f64, outer_mrad: f64) -> Self {
         let name = name.to_owned();
-        Detector { name, inner_mrad, outer_mrad, response: Vec::new(), sector_degrees: None }
+        Detector {
+            name,
+            inner_mrad,
+            outer_mrad,
+            response: Vec::new(),
+            sector_degrees: None,
+            centre_of_mass: None,
+        }
     }
 
     /// Divides the annulus into equal sectors with the names `NAME_0`, `NAME_1`, ...; the first begins at the azimuth `first_degrees`.
@@ -70,7 +85,7 @@ impl Detector {
     }
 
     /// Reads `[NAME=]INNER-OUTER` in mrad, or `[NAME=]INNER-OUTER:SECTORS[@DEGREES]`: equal sectors of the annulus, of which the first
-    /// begins at the azimuth `DEGREES`.
+    /// begins at the azimuth `DEGREES`. `[NAME=]INNER-OUTER:com` is a centre of mass.
     ///
     /// # Errors
     /// [`Error::Invalid`] for anything else, and for less than 2 or more than [`MOST_SECTORS`] sectors.
@@ -78,9 +93,12 @@ impl Detector {
         let Some((annulus, rest)) = text.split_once(':') else {
             return Ok(vec![Self::parse(text)?]);
         };
+        if rest.trim().eq_ignore_ascii_case(CENTRE_OF_MASS) {
+            return Ok(vec![Self::parse(annulus)?.with_centre_of_mass()]);
+        }
         let bad = || {
             let expected = format!(
-                "write INNER-OUTER:SECTORS with 2 to {MOST_SECTORS} sectors, or INNER-OUTER:SECTORS@DEGREES: 0-21:4@45"
+                "write INNER-OUTER:SECTORS with 2 to {MOST_SECTORS} sectors, INNER-OUTER:SECTORS@DEGREES (0-21:4@45), or INNER-OUTER:{CENTRE_OF_MASS}"
             );
             Error::invalid(Setting::Detector, text, expected)
         };
@@ -93,12 +111,13 @@ impl Detector {
         Ok(Self::parse(annulus)?.divided(number, first))
     }
 
-    /// The angles in words: `68-200 mrad`, `0-21 mrad, 45 to 135 degrees`.
+    /// The angles in words: `68-200 mrad`, `0-21 mrad, 45 to 135 degrees`, `0-50 mrad, centre of mass`.
     pub fn angles(&self) -> String {
         let annulus = format!("{}-{} mrad", self.inner_mrad, self.outer_mrad);
-        match self.sector_degrees {
-            None => annulus,
-            Some([from, to]) => format!("{annulus}, {from} to {to} degrees"),
+        match (self.sector_degrees, self.centre_of_mass) {
+            (Some([from, to]), _) => format!("{annulus}, {from} to {to} degrees"),
+            (None, Some(_)) => format!("{annulus}, centre of mass"),
+            (None, None) => annulus,
         }
     }
 
@@ -154,9 +173,17 @@ impl Detector {
             return Some("the outer angle is at most 1570 mrad, a right angle");
         }
         let sector = self.sector_degrees.unwrap_or([0.0, 360.0]);
+        if self.sector_degrees.is_some() && self.centre_of_mass.is_some() {
+            return Some("a centre of mass is of a whole annulus, not of a sector");
+        }
         let fits = sector.iter().all(|v| v.abs() <= 1080.0)
             && (1e-3..=360.0).contains(&(sector[1] - sector[0]));
         (!fits).then_some("the azimuths of a sector must rise, by at most 360 degrees")
+    }
+
+    /// Whether engines can measure the detector itself.
+    pub(crate) fn is_measured(&self) -> bool {
+        self.centre_of_mass.is_none_or(CentreOfMass::is_measured)
     }
 
     /// Whether `theta_mrad` falls on the detector.
@@ -182,11 +209,14 @@ impl Detector {
     }
 
     /// Divides the detector within `limit_mrad` into annuli (inner and outer angle in mrad, share that is counted): one without a response,
-    /// else thin ones.
+    /// else thin ones. Shares are means over all azimuths.
     pub(crate) fn annuli(&self, limit_mrad: f64) -> Vec<([f64; 2], f64)> {
         let outer = self.outer_mrad.min(limit_mrad);
-        if self.response.is_empty() {
-            return vec![([self.inner_mrad, outer], 1.0)];
+        let mean = |theta_mrad| {
+            self.centre_of_mass.map_or(1.0, |part| part.mean_weight(theta_mrad, self.outer_mrad))
+        };
+        if self.response.is_empty() && !self.centre_of_mass.is_some_and(CentreOfMass::varies) {
+            return vec![([self.inner_mrad, outer], mean(outer))];
         }
         let knots = self.response.iter().map(|[angle, _]| *angle);
         let within = knots.filter(|angle| self.inner_mrad < *angle && *angle < outer);
@@ -200,15 +230,18 @@ impl Detector {
             })
         };
         let all = ends.windows(2).flat_map(thin);
-        all.map(|(range, middle)| (range, self.response_at(middle))).collect()
+        all.map(|(range, middle)| (range, self.response_at(middle) * mean(middle))).collect()
     }
 
     /// The counted share of a pixel in a direction (x, y) in mrad, with edges `ramp_mrad` wide.
     fn weight(&self, at: [f64; 2], pattern: &Pattern) -> f64 {
         let theta_mrad = at[0].hypot(at[1]);
         let ring = self.share_on(theta_mrad, pattern.ramp_mrad) * self.response_at(theta_mrad);
-        match self.sector_degrees {
-            Some(sector) if ring > 0.0 => ring * share_of_sector(at, pattern.pixel_mrad, sector),
+        match (self.sector_degrees, self.centre_of_mass) {
+            (Some(sector), _) if ring > 0.0 => {
+                ring * share_of_sector(at, pattern.pixel_mrad, sector)
+            }
+            (None, Some(part)) => ring * part.weight(at, self.outer_mrad),
             _ => ring,
         }
     }

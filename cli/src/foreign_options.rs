@@ -10,8 +10,9 @@ const NOT_OFFERED: [(&[&str], &str); 5] = [
     ),
     (
         &["segmented", "segments", "dpc", "idpc", "com", "icom", "quadrant", "df4"],
-        "--detector DPC=0-21:4@45 of `stemgen simulate` divides an annulus into four sectors; the centre of mass is computed from \
-         diffraction patterns: `stemgen patterns`, then `stemgen integrate FILE.emd --com --icom`",
+        "--detector DPC=0-21:4@45 of `stemgen simulate` divides an annulus into four sectors, --detector COM=0-50:com gives images of \
+         the centre of mass; its integral is computed from diffraction patterns: `stemgen patterns`, then `stemgen integrate FILE.emd \
+         --com --icom`",
     ),
     (
         &["tilt", "mistilt", "beam-tilt"],

@@ -44,9 +44,10 @@ pub struct MicroscopeArgs {
     #[arg(requires = "source_size")]
     pub source_lorentz: Option<f64>,
     /// Annular detector with its inner and outer angle in mrad, such as BF=0-20, ABF=10-20, ADF=40-100 (repeatable). With :N it
-    /// is divided into N equal sectors, NAME_0, NAME_1, ...; the first begins at DEGREES, from +x towards +y (DPC=0-21:4@45)
+    /// is divided into N equal sectors, NAME_0, NAME_1, ...; the first begins at DEGREES, from +x towards +y (DPC=0-21:4@45).
+    /// With :com it gives the mean angle of its electrons in mrad, the centre of mass: images NAME_x and NAME_y (COM=0-50:com)
     /// [default: HAADF=68-200]
-    #[arg(long, value_name = "NAME=IN-OUT[:N[@DEGREES]]", value_parser = values::detector)]
+    #[arg(long, value_name = "NAME=IN-OUT[:N[@DEGREES]|:com]", value_parser = values::detector)]
     pub detector: Vec<DetectorGroup>,
     /// Continue if a detector reaches beyond the angles that the grid carries; that part of it stays empty
     #[arg(long)]

@@ -256,7 +256,7 @@ impl SimulateRun {
         let [x, y, z] = specimen.size_angstrom;
         let settings = &self.job.plans()[0].settings;
         let optics = &settings.optics;
-        let detectors = settings.detectors.iter();
+        let detectors = request.microscope.detectors.iter();
         let detectors =
             detectors.map(|d| format!("{} {}-{} mrad", d.name, d.inner_mrad, d.outer_mrad));
         let phonons = match (settings.phonons, specimen.more_frames.len()) {

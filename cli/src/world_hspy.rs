@@ -26,8 +26,8 @@ pub fn most_bytes([rows, columns]: [usize; 2], images: usize) -> u64 {
     images as u64 * ((rows * columns * size_of::<f32>()) as u64 + AROUND)
 }
 
-/// Writes the images of a world as signals, in fractions of the beam, to `path`, which is moved to `place` later. There is one signal for
-/// each detector of the recipe, and one named `DETECTOR_clean` for each noise-free image of the world.
+/// Writes the images of a world as signals, in fractions of the beam (a centre of mass in mrad), to `path`, which is moved to `place` later.
+/// There is one signal for each detector of the recipe, and one named `DETECTOR_clean` for each noise-free image of the world.
 ///
 /// # Errors
 /// [`stemgen::Error::Memory`] for a world that does not fit into memory; errors of reading and writing.
@@ -65,7 +65,7 @@ pub fn write_world(
         .map(|(name, image, detector)| ImageStack {
             name,
             data: image.view().insert_axis(Axis(0)),
-            units: "fraction of the incident beam",
+            units: detector.units(),
             step_angstrom: [pixel; 2],
             origin_angstrom: [0.0; 2],
             thicknesses_angstrom: &[],

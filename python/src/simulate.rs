@@ -39,7 +39,7 @@ fn shared_facts<'py>(
 }
 
 /// Simulates images. Returns a dict with their shared facts, and with `images`, a list of dicts with `name`, `data`, `counts`,
-/// `defocus_angstrom`, `annulus_mrad`.
+/// `counted_mrad`, `units`, `defocus_angstrom`, `annulus_mrad`, `sector_degrees`.
 #[pyfunction]
 pub fn simulate(
     py: Python<'_>,
@@ -61,6 +61,8 @@ pub fn simulate(
         item.set_item("name", image.name)?;
         item.set_item("data", image.data.into_pyarray(py))?;
         item.set_item("counts", image.counts.map(|counts| counts.into_pyarray(py)))?;
+        item.set_item("counted_mrad", image.counted_mrad.map(|angles| angles.into_pyarray(py)))?;
+        item.set_item("units", image.units)?;
         item.set_item("defocus_angstrom", image.defocus_angstrom)?;
         item.set_item("annulus_mrad", image.annulus_mrad)?;
         item.set_item("sector_degrees", image.sector_degrees)?;

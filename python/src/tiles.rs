@@ -172,8 +172,9 @@ fn listed(py: Python<'_>, index: u64, sample: TrainingSample) -> PyResult<Bound<
     out.set_item("clean", sample.clean.into_pyarray(py))?;
     let others = PyDict::new(py);
     for other in sample.others {
-        others
-            .set_item(other.name, (other.counts.into_pyarray(py), other.clean.into_pyarray(py)))?;
+        let counted = other.counted_mrad.map(|angles| angles.into_pyarray(py));
+        let images = (other.counts.into_pyarray(py), other.clean.into_pyarray(py), counted);
+        others.set_item(other.name, images)?;
     }
     out.set_item("others", others)?;
     out.set_item("heat_map", sample.heat_map.into_pyarray(py))?;

@@ -115,6 +115,8 @@ class SimulatedImage(TypedDict):
     name: str
     data: npt.NDArray[np.float32]
     counts: npt.NDArray[np.uint32] | None
+    counted_mrad: npt.NDArray[np.float32] | None
+    units: str
     defocus_angstrom: float
     annulus_mrad: list[float]
     sector_degrees: list[float] | None

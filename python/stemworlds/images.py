@@ -31,9 +31,11 @@ class Image:
         origin_nm: place of the first pixel ``(y, x)`` in nm.
         units: quantity and unit of the values.
         thicknesses_angstrom: thickness of the specimen, one for each image.
-        counts: counted electrons, uint32 with the shape of ``array``; ``None`` without a dose.
+        counts: counted electrons, uint32 with the shape of ``array``; ``None`` without a dose. For a centre of mass, all electrons on
+            its detector.
         electrons_per_pixel: incident electrons on a pixel; ``None`` without a dose.
         metadata: parameters of the simulation.
+        counted_mrad: for a centre of mass with a dose, the mean angle of the counted electrons in mrad.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Image:
     counts: npt.NDArray[np.uint32] | None = None
     electrons_per_pixel: float | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    counted_mrad: Float32Array | None = None
 
     def __repr__(self) -> str:
         dy, dx = self.sampling_nm
@@ -65,14 +68,16 @@ class Image:
 
     @property
     def noisy(self) -> Image:
-        """The image from the counted electrons: counts divided by the incident electrons of a pixel.
+        """The image from the counted electrons: counts divided by the incident electrons of a pixel, or their mean angle.
 
         Raises:
             InvalidValue: without a dose.
         """
         if self.counts is None or not self.electrons_per_pixel:
             raise _invalid("dose", "the image was made without a dose, so no electrons were counted")
-        array = (self.counts / self.electrons_per_pixel).astype(np.float32)
+        array = self.counted_mrad
+        if array is None:
+            array = (self.counts / self.electrons_per_pixel).astype(np.float32)
         return replace(self, name=f"{self.name}_noisy", array=array)
 
     def at(self, thickness: int) -> Image:
@@ -82,9 +87,10 @@ class Image:
                 raise _invalid("thickness", f"thickness = {thickness}: there is one image only")
             return self
         counts = None if self.counts is None else self.counts[thickness]
+        counted_mrad = None if self.counted_mrad is None else self.counted_mrad[thickness]
         at = self.thicknesses_angstrom[thickness]
         array = self.array[thickness]
-        return replace(self, array=array, counts=counts, thicknesses_angstrom=(at,))
+        return replace(self, array=array, counts=counts, counted_mrad=counted_mrad, thicknesses_angstrom=(at,))
 
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
         array: npt.NDArray[Any] = self.array if dtype is None else self.array.astype(dtype)

@@ -20,7 +20,9 @@ from .images import DiffractionPattern, ExitWaves, Image, Images, PlaneWave
 
 Engine = Literal["multislice", "prism", "window"]
 Sigma = float | Mapping[str, float] | Literal["from-file", "table"]
-Detectors = Mapping[str, tuple[float, float] | tuple[float, float, int] | tuple[float, float, int, float]]
+Detectors = Mapping[
+    str, tuple[float, float] | tuple[float, float, int] | tuple[float, float, int, float] | tuple[float, float, Literal["com"]]
+]
 Aberrations = Mapping[str, float | tuple[float, float]]
 
 
@@ -84,7 +86,8 @@ class SimulationOptions(TypedDict, total=False):
         source_lorentz: share of the source's intensity in a Lorentzian with long tails, 0 to 1.
         detectors: inner and outer angle in mrad by name. Default ``{"HAADF": (68, 200)}``. A third number divides the annulus into
             that many equal sectors, a fourth is the azimuth in degrees at which the first begins, from +x towards +y:
-            ``{"DPC": (0, 21, 4, 45)}`` gives the images ``DPC_0`` to ``DPC_3``.
+            ``{"DPC": (0, 21, 4, 45)}`` gives the images ``DPC_0`` to ``DPC_3``. ``{"COM": (0, 50, "com")}`` gives ``COM_x`` and
+            ``COM_y``, the mean angle of the counted electrons in mrad (centre of mass).
         allow_empty_angles: continue if a detector extends beyond the band limit of the grid.
 
     Results:
@@ -196,7 +199,8 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
         **options: see :class:`SimulationOptions`.
 
     Returns:
-        One :class:`Image` for each detector, ``[y, x]`` in fractions of the incident beam; ``[thickness, y, x]`` for several thicknesses. A
+        One :class:`Image` for each detector, ``[y, x]`` in fractions of the incident beam (a centre of mass has two, in mrad);
+            ``[thickness, y, x]`` for several thicknesses. A
         defocus series has one image for each value: ``"HAADF_defocus_20A"``; files contain the series as one stack. If there is one image
         only, the result can be used as this image.
 
@@ -218,9 +222,10 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
     thicknesses = tuple(found["thicknesses_angstrom"])
     images = {}
     for item in found["images"]:
-        data, counts = item["data"], item["counts"]
+        arrays = [item["data"], item["counts"], item["counted_mrad"]]
         if len(thicknesses) == 1:
-            data, counts = data[0], None if counts is None else counts[0]
+            arrays = [None if array is None else array[0] for array in arrays]
+        data, counts, counted_mrad = arrays
         more: dict[str, Any] = {"defocus_angstrom": item["defocus_angstrom"], "annulus_mrad": tuple(item["annulus_mrad"])}
         if item["sector_degrees"] is not None:
             more["sector_degrees"] = tuple(item["sector_degrees"])
@@ -230,7 +235,9 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
             sampling_nm=(dy / 10, dx / 10),
             origin_nm=(y / 10, x / 10),
             thicknesses_angstrom=thicknesses,
+            units=item["units"],
             counts=counts,
+            counted_mrad=counted_mrad,
             electrons_per_pixel=found["electrons_per_pixel"],
             metadata={**metadata, **more},
         )
@@ -239,7 +246,8 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
 
 @dataclass(frozen=True, eq=False)
 class ProbeValues(Mapping[str, npt.NDArray[np.float32]]):
-    """Detector values of single probes: ``values["HAADF"]``, by name of the detector, in fractions of the incident beam.
+    """Detector values of single probes: ``values["HAADF"]``, by name of the detector, in fractions of the incident beam (a centre of mass
+    in mrad).
 
     Attributes:
         values_of: float32 [probe], or [thickness, probe] for several thicknesses, by name of the detector.
@@ -520,6 +528,9 @@ def _detectors(detectors: Any) -> list[dict[str, Any]]:
         sectors = list(angles)[2:] if isinstance(angles, (tuple, list)) and len(angles) < 5 else []
         inner, outer = _pair("detectors", angles[:2] if sectors else angles)
         whole = {"name": name, "inner_mrad": inner, "outer_mrad": outer}
+        if sectors == ["com"]:
+            listed.append({**whole, "centre_of_mass": "images"})
+            continue
         if not sectors:
             listed.append(whole)
             continue

@@ -71,6 +71,7 @@ class Sample:
         angle_deg: angle between scan and specimen.
         centre_nm: centre ``(x, y)`` of the sample in the full field.
         images: the images on all detectors by name, the main one first, as ``image``; with ``stream(..., detectors="all")``, else empty.
+            A centre of mass is in mrad, along the axes of the specimen, which ``angle_deg`` turns against the image.
         clean_images: these images without noise, as ``clean``.
     """
 
@@ -254,8 +255,10 @@ def _sample(item: Mapping[str, Any], source: int, recipe: str) -> Sample:
     targets = Targets(item["heat_map"], item["class_mask"], item["phase_mask"], columns, particles)
     names = _detector_names(recipe) if item["others"] else ["main"]
     electrons = item["electrons_per_pixel"]
-    found = {names[0]: (counts, item["clean"]), **item["others"]}
-    images = {name: (counted / electrons).astype(np.float32) for name, (counted, _) in found.items()}
+    found = {names[0]: (counts, item["clean"], None), **item["others"]}
+    images = {
+        name: (counted / electrons).astype(np.float32) if angles is None else angles for name, (counted, _, angles) in found.items()
+    }
     return Sample(
         index=item["index"],
         source=source,
@@ -269,7 +272,7 @@ def _sample(item: Mapping[str, Any], source: int, recipe: str) -> Sample:
         centre_nm=tuple(item["centre_nm"]),
         recipe=recipe,
         images=images if item["others"] else {},
-        clean_images={name: clean for name, (_, clean) in found.items()} if item["others"] else {},
+        clean_images={name: clean for name, (_, clean, _) in found.items()} if item["others"] else {},
     )
 
 

@@ -103,6 +103,7 @@ class WorldMetadata:
         scaling: scale and offset, fraction of the beam = value * scale + offset.
         phases: names of the phases by their codes.
         detectors: inner and outer angle in mrad of each detector, the main one first; empty for a world with one unnamed detector.
+        centres_of_mass: axis, ``"x"`` or ``"y"``, of the detectors that are images of a centre of mass, in mrad.
         sectors: azimuths in degrees, from +x towards +y, between which the detectors lie that are sectors of an annulus.
     """
 
@@ -128,6 +129,7 @@ class WorldMetadata:
     phases: tuple[str, ...]
     site_count: int
     detectors: Mapping[str, tuple[float, float]]
+    centres_of_mass: Mapping[str, str]
     sectors: Mapping[str, tuple[float, float]]
 
 
@@ -156,6 +158,8 @@ class World:
         facts = json.loads(reading(self._reader.metadata)())
         for name in ("grid", "shape", "fov_nm", "scaling", "phases"):
             facts[name] = None if facts[name] is None else tuple(facts[name])
+        axes = {one["name"]: one.get("centre_of_mass") for one in facts["detectors"]}
+        facts["centres_of_mass"] = {name: axis for name, axis in axes.items() if axis is not None}
         parts = {one["name"]: one.get("sector_degrees") for one in facts["detectors"]}
         facts["sectors"] = {name: tuple(azimuths) for name, azimuths in parts.items() if azimuths is not None}
         facts["detectors"] = {one["name"]: (one["inner_mrad"], one["outer_mrad"]) for one in facts["detectors"]}
@@ -225,7 +229,7 @@ class World:
         stride = self.metadata.tile_size_px - self.metadata.overlap_px
         if row < 0 or column < 0:
             raise _invalid("grid", f"tile {row}, {column}: tiles are counted from 0")
-        return self._image(f"tile {row}, {column}", reading(self._reader.tile)(row, column, clean, detector), (row * stride, column * stride), clean)
+        return self._image(f"tile {row}, {column}", reading(self._reader.tile)(row, column, clean, detector), (row * stride, column * stride), clean, detector)
 
     def image(
         self, region_nm: tuple[float, float, float, float] | None = None, *, clean: bool = False, detector: str | None = None
@@ -240,10 +244,10 @@ class World:
         """
         rows, columns = self._pixels(region_nm)
         array = reading(self._reader.image)(rows, columns, clean, detector)
-        return self._image("world", array, (rows[0], columns[0]), clean)
+        return self._image("world", array, (rows[0], columns[0]), clean, detector)
 
     def fractions(self, image: Image, *, detector: str | None = None) -> npt.NDArray[np.float32]:
-        """Converts a normalised image of a detector to fractions of the beam."""
+        """Converts a normalised image of a detector to fractions of the beam, or of a centre of mass to mrad."""
         scaling = reading(self._reader.scaling)(detector)
         if scaling is None:
             raise _invalid("path", f"{self.path}: tells no scaling")
@@ -367,9 +371,10 @@ class World:
         picture = base64.b64encode(reading(self._reader.png)()).decode()
         return f'<figure><img src="data:image/png;base64,{picture}"><figcaption>{html.escape(repr(self))}</figcaption></figure>'
 
-    def _image(self, name: str, array: npt.NDArray[np.float32], first: tuple[int, int], clean: bool) -> Image:
+    def _image(self, name: str, array: npt.NDArray[np.float32], first: tuple[int, int], clean: bool, detector: str | None) -> Image:
         pixel = self.pixel_nm
-        units = "fraction of the incident beam" if clean else "normalised, 0 to 1"
+        own = "mrad" if detector in self.metadata.centres_of_mass else "fraction of the incident beam"
+        units = own if clean else "normalised, 0 to 1"
         return Image(name, array, (pixel, pixel), (first[0] * pixel, first[1] * pixel), units=units)
 
     def _pixels(self, region_nm: tuple[float, float, float, float] | None) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -29,6 +29,26 @@ def test_sectors_of_a_detector() -> None:
             sw.simulate(silicon, detectors={"DPC": bad})  # type: ignore[dict-item]
 
 
+def test_centre_of_mass_of_a_detector() -> None:
+    silicon = ROOT / "structures/si.cif"
+    scan = sw.Scan(end=(0.5, 0.5), points=(4, 3))
+    options: Any = {"zone": (1, 1, 0), "repeat": (3, 2, 2), "detectors": {"BF": (0, 21), "COM": (0, 60, "com")}, "engine": "multislice"}
+    images = sw.simulate(silicon, scan=scan, dose=1e5, **options)
+    assert list(images) == ["BF", "COM_x", "COM_y"]
+    x, y = images["COM_x"], images["COM_y"]
+    assert (x.units, images["BF"].units) == ("mrad", "fraction of the incident beam")
+    assert x.array.min() < 0 < x.array.max() and np.abs(x.array).max() < 20
+    # Both show the same electrons; their angles scatter independently.
+    assert x.counts is not None and y.counts is not None and np.array_equal(x.counts, y.counts)
+    assert x.counted_mrad is not None and np.array_equal(x.noisy.array, x.counted_mrad)
+    assert 0 < np.abs(x.noisy.array - x.array).max() < 80 / np.sqrt(x.counts.min())
+    places = sw.simulate_probes(silicon, [(0.0, 0.0)], **options)
+    assert list(places) == ["BF", "COM_x", "COM_y"]
+    np.testing.assert_allclose(places["COM_x"][0], x.array[0, 0], atol=1e-3)
+    with pytest.raises(sw.InvalidValue, match="detectors"):
+        sw.simulate(silicon, detectors={"COM": (0, 60, "center")})  # type: ignore[dict-item]
+
+
 def test_bytes_are_those_of_the_command_line(tmp_path: Path) -> None:
     silicon = ROOT / "structures/si.cif"
     end = "3.840297,2.715500"  # two cells of [110] are 7.68 x 5.43 A wide

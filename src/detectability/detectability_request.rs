@@ -203,6 +203,12 @@ impl DetectabilityRequest {
             let expected = "a defect needs mean positions; give one frame, and phonons";
             return refuse(Setting::Frames, "given".to_owned(), expected);
         }
+        if let Some(detector) =
+            self.microscope.detectors.iter().find(|d| d.centre_of_mass.is_some())
+        {
+            let expected = "the test reads counted electrons; leave the centre of mass out";
+            return refuse(Setting::Detector, detector.name.clone(), expected);
+        }
         self.microscope.detectors.iter().try_for_each(check_detector)
     }
 

@@ -7,7 +7,7 @@
 use super::plan::Plan;
 use super::probe::Probe;
 use super::settings::Settings;
-use crate::detect::Detector;
+use crate::detect::{CentreOfMass, Detector};
 use num_complex::Complex32;
 
 /// Smallest share of the beam, without a specimen, on a detector that is corrected. Detectors with less see scattered electrons.
@@ -31,7 +31,17 @@ pub(super) fn direct_beam_factors(
         true => share / found,
         false => 1.0,
     };
-    shares.iter().zip(found).map(factor).collect()
+    let mut factors: Vec<f64> = shares.iter().zip(found).map(factor).collect();
+    // All parts of a centre of mass have the factor of its electrons, so that it stays as it is.
+    let mut electrons = 1.0;
+    for (detector, factor) in settings.detectors.iter().zip(&mut factors) {
+        match detector.centre_of_mass {
+            None => {}
+            Some(CentreOfMass::Electrons) => electrons = *factor,
+            Some(_) => *factor = electrons,
+        }
+    }
+    factors
 }
 
 /// The share of the beam on a detector without a specimen.

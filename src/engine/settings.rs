@@ -268,6 +268,10 @@ impl Settings {
             if d.sector_degrees.is_some() {
                 d.validate()?;
             }
+            if !d.is_measured() {
+                let expected = "is made of several measured images; replace it by those of `Detector::measured`";
+                return Err(Error::invalid(crate::Setting::Detector, &d.name, expected));
+            }
             if self.detectors[..i].iter().any(|e| e.name == d.name) {
                 return Err(Error::invalid(crate::Setting::DetectorName, &d.name, "is used twice"));
             }

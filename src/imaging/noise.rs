@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::recipe::Recipe;
-use crate::rng::{ItemRng, Purpose};
+use crate::rng::{ItemRng, Purpose, normal3};
 
 /// Draws the counted electrons of each pixel.
 #[derive(Debug, Clone, Copy)]
@@ -25,6 +25,8 @@ pub(crate) struct Noise {
 
 /// A field has fewer pixels than 2 to this power.
 const PIXEL_BITS: u32 = 48;
+/// Number of the draws of mean angles; electrons have 0.
+const DEFLECTIONS: u32 = 1;
 
 /// Largest number of electrons per pixel. Counts are 32-bit numbers, and some pixels of a plane wave get several times the mean.
 pub(crate) const MOST_ELECTRONS_PER_PIXEL: f64 = 1e9;
@@ -101,11 +103,47 @@ impl Noise {
         });
     }
 
+    /// Gives the mean angles of a centre of mass, one for each pixel, the scatter of the counted electrons: `electrons` are their fraction of
+    /// the beam and `deviation` the standard deviation of the angle of one of them. The electrons are those that [`Noise::counted`] draws;
+    /// their mean angle is drawn from a normal distribution. A pixel without electrons has the angle 0.
+    pub(crate) fn deflect(
+        &self,
+        band: &mut Array2<f32>,
+        first_row: usize,
+        (electrons, deviation): (&Array2<f32>, &Array2<f32>),
+        axis: usize,
+    ) {
+        let lines = band.outer_iter_mut().zip(electrons.outer_iter()).zip(deviation.outer_iter());
+        let lines: Vec<_> = lines.collect();
+        lines.into_par_iter().enumerate().for_each(|(k, ((mut line, electrons), deviation))| {
+            let start = self.place(first_row + k);
+            let pixels = line.iter_mut().zip(electrons).zip(deviation).enumerate();
+            for (column, ((value, electrons), deviation)) in pixels {
+                let pixel = start + column as u64;
+                let counted =
+                    self.draw(f64::from(*electrons) * self.electrons_per_pixel, pixel).floor();
+                let item = self.item(pixel);
+                let normal = normal3(self.seed, Purpose::Dose, DEFLECTIONS, item)[axis];
+                *value = match counted >= 1.0 {
+                    true => {
+                        let scatter = f64::from(*deviation) * normal / counted.sqrt();
+                        (f64::from(*value) + scatter) as f32
+                    }
+                    false => 0.0,
+                };
+            }
+        });
+    }
+
+    /// Number of the random numbers of a pixel.
+    fn item(&self, pixel: u64) -> u64 {
+        pixel | u64::from(self.detector) << PIXEL_BITS
+    }
+
     fn draw(&self, expected: f64, pixel: u64) -> f64 {
         match Poisson::new(expected) {
             Ok(poisson) => {
-                let item = pixel | u64::from(self.detector) << PIXEL_BITS;
-                poisson.sample(&mut ItemRng::new(self.seed, Purpose::Dose, item))
+                poisson.sample(&mut ItemRng::new(self.seed, Purpose::Dose, self.item(pixel)))
             }
             // Too many electrons for the distribution: their scatter is less than a part in a billion.
             Err(_) if expected > 0.0 => expected,
@@ -138,6 +176,40 @@ mod tests {
             assert!((mean - expected).abs() < 4.0 * (expected / n).sqrt(), "{mean} {expected}");
             assert!((variance / expected - 1.0).abs() < 0.03, "{variance} {expected}");
         }
+    }
+
+    /// The variance of a mean angle is the variance of one electron over their number.
+    #[test]
+    fn mean_angles_scatter_as_counted_electrons() {
+        let noise = Noise {
+            seed: 5,
+            electrons_per_pixel: 400.0,
+            origin_px: [0, 0],
+            full_width_px: 300,
+            detector: 2,
+        };
+        let shape = (200, 300);
+        let (electrons, deviation) =
+            (Array2::from_elem(shape, 0.25_f32), Array2::from_elem(shape, 10.0));
+        let drawn = |axis: usize| {
+            let mut band = Array2::from_elem(shape, 3.0_f32);
+            noise.deflect(&mut band, 0, (&electrons, &deviation), axis);
+            band.mapv(f64::from)
+        };
+        let counts = noise.counted(&electrons).mapv(f64::from);
+        let n = counts.len() as f64;
+        // Each deviation in units of its own standard deviation.
+        let normal = |axis: usize| (drawn(axis) - 3.0) / 10.0 * counts.mapv(f64::sqrt);
+        let (x, y) = (normal(0), normal(1));
+        for v in [&x, &y] {
+            assert!(v.sum().abs() < 4.0 * n.sqrt(), "{}", v.sum());
+            let variance = (v * v).sum() / n;
+            assert!((variance - 1.0).abs() < 4.0 * (2.0 / n).sqrt(), "{variance}");
+        }
+        assert!((&x * &y).sum().abs() < 4.0 * n.sqrt());
+        let mut none = Array2::from_elem((2, 3), 3.0);
+        noise.deflect(&mut none, 0, (&Array2::zeros((2, 3)), &Array2::ones((2, 3))), 0);
+        assert_eq!(none, Array2::<f32>::zeros((2, 3)));
     }
 
     #[test]

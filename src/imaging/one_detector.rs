@@ -9,6 +9,7 @@ use super::region_imager::{
     DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, RegionImager, SharedLibrary,
 };
 use super::turned_raster::TurnedRaster;
+use crate::detect::shown_images;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::recipe::{Recipe, Region};
@@ -24,14 +25,15 @@ impl OneDetector {
     /// Selects the recipe's detector `name` from the images of `inner`, which makes all of them.
     ///
     /// # Errors
-    /// [`Error::Invalid`] with the names of the recipe's detectors.
+    /// [`Error::Invalid`] with the names of the recipe's detectors that count electrons.
     pub fn named(name: &str, recipe: &Recipe, inner: Box<dyn RegionImager>) -> Result<Self> {
-        let detectors = recipe.detector.all();
-        let number = detectors.iter().position(|d| d.name == name);
-        match number.filter(|n| *n < inner.facts().detectors) {
+        let shown = shown_images(&recipe.detector.measured());
+        let counted = || shown.iter().filter(|s| s.axis.is_none());
+        let found = counted().find(|s| s.detector.name == name).map(|s| s.number);
+        match found.filter(|n| *n < inner.facts().detectors) {
             Some(number) => Ok(OneDetector { inner, number }),
             None => {
-                let names: Vec<&str> = detectors.iter().map(|d| d.name.as_str()).collect();
+                let names: Vec<&str> = counted().map(|s| s.detector.name.as_str()).collect();
                 let expected = format!("the recipe has {}", names.join(", "));
                 Err(Error::invalid(Setting::DetectorName, name, expected))
             }

@@ -20,7 +20,7 @@ pub struct ImagerFacts {
     pub name: &'static str,
     /// Settings that decide the image. An interrupted build is continued only with identical parameters.
     pub parameters: serde_json::Value,
-    /// Number of images of each rectangle: one for each detector.
+    /// Number of images of each rectangle: one for each measured detector ([`crate::recipe::DetectorTables::measured`]).
     pub detectors: usize,
     /// Name of the work on an image in progress reports, and its unit.
     pub stage: [&'static str; 2],

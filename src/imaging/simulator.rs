@@ -60,7 +60,7 @@ impl Simulator {
         // Where pixels need no probes between them, they need no probes beyond the edge of the area either.
         let coarse =
             recipe.field.pixel_angstrom() >= Kernel::default_step(image_band_limit(&optics));
-        let detectors = recipe.detector.all();
+        let detectors = recipe.detector.measured();
         let settings = Settings {
             direct_beam: detectors.iter().any(|detector| sees_tail(detector, &optics)),
             probe_step: if coarse { ProbeStep::Scan } else { ProbeStep::Auto },

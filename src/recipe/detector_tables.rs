@@ -37,7 +37,7 @@ pub struct DetectorTable {
     pub response: Vec<[f64; 2]>,
 }
 
-/// One of several detectors: an annulus, or its sectors.
+/// One of several detectors: an annulus, its sectors, or its centre of mass.
 #[derive(Debug, Clone, PartialEq, Serialize, DeriveDeserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NamedDetectorTable {
@@ -56,6 +56,9 @@ pub struct NamedDetectorTable {
     /// Azimuth in degrees at which the first sector begins, from +x towards +y, which points down; 0 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first_sector_deg: Option<f64>,
+    /// Whether the detector gives the images `NAME_x` and `NAME_y` of the mean angle of its electrons in mrad.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub centre_of_mass: bool,
 }
 
 impl NamedDetectorTable {
@@ -63,6 +66,7 @@ impl NamedDetectorTable {
         let whole = Detector::new(&self.name, self.inner_mrad, self.outer_mrad);
         let whole = whole.with_response(self.response.clone());
         match self.sectors {
+            None if self.centre_of_mass => vec![whole.with_centre_of_mass()],
             None => vec![whole],
             Some(sectors) => whole.divided(sectors, self.first_sector_deg.unwrap_or(0.0)),
         }
@@ -85,8 +89,18 @@ impl DetectorTables {
         DetectorTables::One(DetectorTable { inner_mrad, outer_mrad, response: Vec::new() })
     }
 
-    /// Returns the detectors, the main one first; at least one in a checked recipe.
+    /// Returns the detectors with their images, the main one first; at least one in a checked recipe. A centre of mass has two.
     pub fn all(&self) -> Vec<Detector> {
+        self.asked().iter().flat_map(Detector::images).collect()
+    }
+
+    /// Returns the detectors that engines measure, the main one first. A centre of mass is measured by five.
+    pub fn measured(&self) -> Vec<Detector> {
+        self.asked().iter().flat_map(Detector::measured).collect()
+    }
+
+    /// Returns the detectors as they are asked for, the main one first.
+    pub(crate) fn asked(&self) -> Vec<Detector> {
         match self {
             DetectorTables::One(d) => {
                 let detector = Detector::new(USUAL_NAME, d.inner_mrad, d.outer_mrad);
@@ -98,12 +112,16 @@ impl DetectorTables {
         }
     }
 
-    /// Returns the number of detectors; each sector is one.
+    /// Returns the number of images; each sector has one, a centre of mass two.
     pub fn count(&self) -> usize {
         match self {
             DetectorTables::One(_) => 1,
             DetectorTables::Several(tables) => {
-                tables.iter().map(|table| table.sectors.unwrap_or(1)).sum()
+                let images = |table: &NamedDetectorTable| match table.centre_of_mass {
+                    true => 2,
+                    false => table.sectors.unwrap_or(1),
+                };
+                tables.iter().map(images).sum()
             }
         }
     }
@@ -184,6 +202,7 @@ pub(crate) fn check_detectors(detectors: &DetectorTables) -> Checked {
         }
         check_response(&table.response)?;
         check_sectors(n, table)?;
+        check_centre_of_mass(n, table)?;
     }
     check_names(tables)
 }
@@ -208,22 +227,37 @@ fn check_sectors(n: usize, table: &NamedDetectorTable) -> Checked {
     within("detector.first_sector_deg", table.first_sector_deg.unwrap_or(0.0), -360.0, 360.0)
 }
 
+/// Checks that a centre of mass is of a whole annulus, and not the main image.
+fn check_centre_of_mass(n: usize, table: &NamedDetectorTable) -> Checked {
+    let expected = match (n, table.sectors) {
+        _ if !table.centre_of_mass => return Ok(()),
+        (0, _) => {
+            "the first detector is the main one, whose image overviews and agents see; expected electrons there, and a centre of mass later"
+        }
+        (_, Some(_)) => "a centre of mass is of a whole annulus; leave `sectors` out",
+        (_, None) => return Ok(()),
+    };
+    fault("detector.centre_of_mass", true, expected)
+}
+
 /// Checks that all images together have different names, and are not too many.
 fn check_names(tables: &[NamedDetectorTable]) -> Checked {
     let names: Vec<String> = tables
         .iter()
         .flat_map(NamedDetectorTable::detectors)
+        .flat_map(|d| d.images())
         .map(|d| d.name.to_ascii_lowercase())
         .collect();
     if names.len() > MOST_IMAGES {
-        let expected = format!("expected at most {MOST_IMAGES} detectors and sectors together");
+        let expected = format!(
+            "expected at most {MOST_IMAGES} images of detectors, sectors and centres of mass together"
+        );
         return fault("detector", format!("{} images", names.len()), expected);
     }
     match names.iter().enumerate().find(|(n, name)| names[..*n].contains(name)) {
         None => Ok(()),
         Some((_, name)) => {
-            let expected =
-                "a sector would have the name of another detector; rename one of the two";
+            let expected = "a sector or a centre of mass would have the name of another detector; rename one of the two";
             fault("detector.name", name, expected)
         }
     }
@@ -306,6 +340,26 @@ mod tests {
             let message = with(&value).unwrap_err().to_string();
             assert!(message.contains(part), "{value}: {message}");
         }
+    }
+
+    #[test]
+    fn a_centre_of_mass_has_two_images() {
+        let com = TWO.replace("outer_mrad=21", "outer_mrad=21,centre_of_mass=true");
+        let recipe = with(&com).unwrap();
+        let (all, measured) = (recipe.detector.all(), recipe.detector.measured());
+        let names: Vec<&str> = all.iter().map(|d| d.name.as_str()).collect();
+        assert_eq!((names, recipe.detector.count()), (vec!["HAADF", "ABF_x", "ABF_y"], 3));
+        assert_eq!((measured.len(), all[2].units()), (6, "mrad"));
+        assert_eq!(Recipe::from_toml_str("copy", &recipe.to_toml(), None).unwrap(), recipe);
+        for (value, part) in [
+            (com.replace("=true", "=true,sectors=4"), "leave `sectors` out"),
+            (TWO.replace("200}", "200,centre_of_mass=true}"), "the first detector is the main one"),
+            (com.replace("\"HAADF\"", "\"abf_y\""), "the name of another detector"),
+        ] {
+            let message = with(&value).unwrap_err().to_string();
+            assert!(message.contains(part), "{value}: {message}");
+        }
+        assert!(!with(TWO).unwrap().to_toml().contains("centre_of_mass"));
     }
 
     #[test]

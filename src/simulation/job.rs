@@ -1,16 +1,17 @@
 //! A prepared simulation: plans, warnings, memory and time, and the run.
 
-use ndarray::{Array2, Array5, Axis};
+use ndarray::{Array2, Array3, Array5, ArrayView3, Axis};
 use num_complex::Complex32;
 
 use super::atoms::PreparedSpecimen;
-use super::images::{self, SimulatedImage};
+use super::images::{self, CountedDose, SimulatedImage};
 use super::pattern_job;
 use super::plan_report::PlanReport;
 use super::plane_wave::{self, PlaneWaveImages};
 use super::plausibility::{self, Warning};
 use super::request::SimulationRequest;
 use super::time_estimate::threads;
+use crate::detect::{ShownImage, shown_images};
 use crate::engine::{
     AccuracyFound, Cost, Images, Plan, ProbeRaster, Scan, ScanPart, SourceBlur, check_memory,
     has_exit_waves, mean_diffraction, probe_exit_waves, simulate_part, simulate_places,
@@ -108,12 +109,10 @@ impl SimulationJob {
     pub fn detector_names(&self) -> Vec<String> {
         match self.request.plane_wave {
             true => vec!["lens".to_owned()],
-            false => self.plans[0]
-                .settings
-                .detectors
-                .iter()
-                .map(|detector| detector.name.clone())
-                .collect(),
+            false => {
+                let shown = shown_images(&self.plans[0].settings.detectors);
+                shown.into_iter().map(|shown| shown.detector.name).collect()
+            }
         }
     }
 
@@ -125,8 +124,9 @@ impl SimulationJob {
             match self.request.plane_wave {
                 true => names.push(images::name_of("lens", defocus)),
                 false => {
-                    let detectors = plan.settings.detectors.iter();
-                    names.extend(detectors.map(|d| images::name_of(&d.name, defocus)));
+                    let shown = shown_images(&plan.settings.detectors);
+                    let name = |s: &ShownImage| images::name_of(&s.detector.name, defocus);
+                    names.extend(shown.iter().map(name));
                 }
             }
         }
@@ -237,27 +237,44 @@ impl SimulationJob {
         let (plans, blur) = (self.chosen_plans(progress)?, self.source_blur()?);
         let wide = blur.as_ref().map_or(&self.scan, |blur| blur.scan());
         let series = simulate_series(&plans, &self.specimen.frames(), wide, parts, progress)?;
+        let dose = self.counted_dose();
         let mut made = Vec::new();
         for (p, (plan, found)) in plans.iter().zip(&series).enumerate() {
-            for (d, detector) in plan.settings.detectors.iter().enumerate() {
-                let sharp = found.data.index_axis(Axis(1), d);
-                made.push(SimulatedImage {
-                    name: images::name_of(&detector.name, self.series_defocus(p)),
-                    data: match &blur {
-                        None => sharp.to_owned(),
-                        Some(blur) => images::blurred(blur, sharp)?,
-                    },
-                    units: images::FRACTION_OF_BEAM,
-                    defocus_angstrom: self.request.microscope.defocus_angstrom[p],
-                    annulus_mrad: Some([detector.inner_mrad, detector.outer_mrad]),
-                    sector_degrees: detector.sector_degrees,
-                    counts: None,
-                    noisy: false,
-                });
+            let blurred = |sharp: ArrayView3<f32>| match &blur {
+                None => Ok(sharp.to_owned()),
+                Some(blur) => images::blurred(blur, sharp),
+            };
+            let measured =
+                found.data.axis_iter(Axis(1)).map(blurred).collect::<Result<Vec<_>>>()?;
+            for shown in shown_images(&plan.settings.detectors) {
+                // Both images of a centre of mass show the same electrons.
+                let n = made.len() - shown.axis.unwrap_or(0);
+                let mut image = self.image(p, &shown, images::shown_image(&shown, &measured));
+                match (&dose, shown.axis) {
+                    (Some(dose), None) => image.count(n, dose),
+                    (Some(dose), Some(_)) => image.count_deflected(n, &shown, &measured, dose),
+                    (None, _) => {}
+                }
+                made.push(image);
             }
         }
-        self.count(&mut made);
         Ok(made)
+    }
+
+    /// An image without noise at a defocus, by its number.
+    fn image(&self, plan: usize, shown: &ShownImage, data: Array3<f32>) -> SimulatedImage {
+        let detector = &shown.detector;
+        SimulatedImage {
+            name: images::name_of(&detector.name, self.series_defocus(plan)),
+            data,
+            units: detector.units(),
+            defocus_angstrom: self.request.microscope.defocus_angstrom[plan],
+            annulus_mrad: Some([detector.inner_mrad, detector.outer_mrad]),
+            sector_degrees: detector.sector_degrees,
+            counts: None,
+            counted_mrad: None,
+            noisy: false,
+        }
     }
 
     /// Simulates one process's part of the probes of the scan, which several processes share.
@@ -298,10 +315,13 @@ impl SimulationJob {
             annulus_mrad: None,
             sector_degrees: None,
             counts: None,
+            counted_mrad: None,
             noisy: false,
         };
         let mut made: Vec<_> = found.images.iter().enumerate().map(each).collect();
-        self.count(&mut made);
+        if let Some(dose) = self.counted_dose() {
+            made.iter_mut().enumerate().for_each(|(n, image)| image.count(n, &dose));
+        }
         Ok((made, found))
     }
 
@@ -326,7 +346,8 @@ impl SimulationJob {
             let cost = Cost::new(plan, &apart);
             check_memory(cost.memory_bytes(threads()), cost.memory_remedy(threads()))?;
         }
-        simulate_places(&plans, &self.specimen.frames(), places_angstrom, progress)
+        let found = simulate_places(&plans, &self.specimen.frames(), places_angstrom, progress)?;
+        Ok(found.into_iter().zip(plans.iter()).map(|(i, p)| images::shown_of(i, p)).collect())
     }
 
     /// The diffraction pattern of a probe at a place (x, y) in Angstrom, in FFT order, and the step (x, y) of its pixels in mrad.
@@ -429,11 +450,10 @@ impl SimulationJob {
         }
     }
 
-    fn count(&self, made: &mut [SimulatedImage]) {
-        let Some(electrons_per_pixel) = self.electrons_per_pixel() else { return };
-        for (n, image) in made.iter_mut().enumerate() {
-            image.count(n, self.request.specimen.seed, electrons_per_pixel, &self.scan);
-        }
+    fn counted_dose(&self) -> Option<CountedDose> {
+        let seed = self.request.specimen.seed;
+        self.electrons_per_pixel()
+            .map(|electrons_per_pixel| CountedDose { seed, electrons_per_pixel })
     }
 }
 

@@ -74,7 +74,7 @@ impl MicroscopeRequest {
             focal_spread_angstrom: optics.focal_spread_angstrom,
             source_size_angstrom: source.map(|source| source.fwhm_angstrom),
             source_lorentz_share: source.map_or(0.0, |source| source.lorentz_share),
-            detectors: recipe.detector.all(),
+            detectors: recipe.detector.asked(),
             allow_empty_angles: false,
         }
     }
@@ -107,6 +107,7 @@ impl MicroscopeRequest {
         let series = self.defocus_angstrom.len() > 1;
         plausibility::check_aberrations(first, series, &self.aberrations)?;
         self.detectors.iter().try_for_each(plausibility::check_detector)?;
+        self.check_image_names()?;
         if self.source_lorentz_share != 0.0 && self.source_size_angstrom.is_none() {
             let expected = "is a share of a source that has a size; give the size too";
             return Err(Error::invalid(
@@ -116,6 +117,16 @@ impl MicroscopeRequest {
             ));
         }
         self.source().map_or(Ok(()), |source| source.validate())
+    }
+
+    /// Refuses two images of one name.
+    fn check_image_names(&self) -> Result<()> {
+        let images: Vec<Detector> = self.detectors.iter().flat_map(Detector::images).collect();
+        let twice = |(n, d): &(usize, &Detector)| images[..*n].iter().any(|e| e.name == d.name);
+        match images.iter().enumerate().find(twice) {
+            None => Ok(()),
+            Some((_, d)) => Err(Error::invalid(Setting::DetectorName, &d.name, "is used twice")),
+        }
     }
 
     /// Warnings about values that are possible, but likely mistakes.

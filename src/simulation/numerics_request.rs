@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::microscope::MicroscopeRequest;
+use crate::detect::Detector;
 use crate::engine::settings::{AUTO_ANGLE_MARGIN, DEFAULT_BAND_FRACTION};
 use crate::engine::{
     Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeBox, ProbeStep, Settings,
@@ -170,7 +171,7 @@ impl NumericsRequest {
         };
         Ok(Settings {
             optics: microscope.optics(defocus_angstrom),
-            detectors: microscope.detectors.clone(),
+            detectors: microscope.detectors.iter().flat_map(Detector::measured).collect(),
             parametrization: self.parametrization,
             projection: self.projection,
             slicing: self.slice_thickness_angstrom.map_or(Slicing::Auto, Slicing::Thickness),

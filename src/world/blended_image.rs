@@ -7,6 +7,7 @@ use ndarray::{Array2, ArrayView2, s};
 use super::field_scan::{FieldScan, FieldScanRows, ScannedRows};
 use super::subtile_store::SubtileStore;
 use super::subtiles::Partition;
+use crate::detect::ShownImage;
 use crate::error::{Error, Result};
 use crate::imaging::Noise;
 use crate::io::WorldWriter;
@@ -23,8 +24,9 @@ pub(crate) struct BlendedImage<'a> {
     noise: Option<Noise>,
     /// The recording that takes the place of noise.
     scan: Option<&'a FieldScan>,
-    /// Number of the detector, and the number of detectors.
-    detector: [usize; 2],
+    shown: ShownImage,
+    /// Number of measured images of a sub-tile.
+    measured: usize,
     shape: [usize; 2],
     grid: [usize; 2],
     tile: usize,
@@ -42,13 +44,16 @@ impl<'a> BlendedImage<'a> {
     ) -> Self {
         let field = &recipe.field;
         let dose = recipe.dose.electrons_per_angstrom2;
+        let measured = recipe.detector.measured();
+        let main = ShownImage { detector: measured[0].clone(), number: 0, axis: None };
         BlendedImage {
             partition,
             parts,
             store,
             noise: noise.then(|| Noise::new(recipe, dose, field.crop_origin_px())),
             scan,
-            detector: [0, recipe.detector.count()],
+            shown: main,
+            measured: measured.len(),
             shape: field.pixels(field.built_grid()),
             grid: field.built_grid(),
             tile: field.tile_px,
@@ -56,28 +61,55 @@ impl<'a> BlendedImage<'a> {
         }
     }
 
-    /// Returns the image of detector `number`.
-    pub(crate) fn of_detector(&self, number: usize) -> Self {
+    /// Returns another image.
+    pub(crate) fn of_detector(&self, shown: ShownImage) -> Self {
         BlendedImage {
-            detector: [number, self.detector[1]],
-            noise: self.noise.map(|noise| noise.of_detector(number as u16)),
+            noise: self.noise.map(|noise| noise.of_detector(shown.number as u16)),
+            shown,
             ..*self
         }
     }
 
     fn clean(&self, rows: Range<usize>) -> Result<Array2<f32>> {
+        match self.shown.parts() {
+            None => self.measured(self.shown.number, rows),
+            Some(parts) => self.angles(parts, rows).map(|[mean, _]| mean),
+        }
+    }
+
+    /// Rows of a centre of mass, and of the standard deviation of the angle of one electron.
+    fn angles(&self, parts: [usize; 3], rows: Range<usize>) -> Result<[Array2<f32>; 2]> {
+        let [electrons, share, square] = parts.map(|number| self.measured(number, rows.clone()));
+        let (electrons, share, square) = (electrons?, share?, square?);
+        Ok(self.shown.angles([electrons.view(), share.view(), square.view()]))
+    }
+
+    /// Adds the noise of the dose to rows of the image.
+    fn add_noise(&self, noise: &Noise, values: &mut Array2<f32>, rows: Range<usize>) -> Result<()> {
+        let (Some(parts), Some(axis)) = (self.shown.parts(), self.shown.axis) else {
+            noise.apply(values, rows.start);
+            return Ok(());
+        };
+        let electrons = self.measured(self.shown.number, rows.clone())?;
+        let [_, deviation] = self.angles(parts, rows.clone())?;
+        noise.deflect(values, rows.start, (&electrons, &deviation), axis);
+        Ok(())
+    }
+
+    /// Rows of a measured image.
+    fn measured(&self, number: usize, rows: Range<usize>) -> Result<Array2<f32>> {
         let parts = self.parts;
         if parts == 1 {
-            return self.fine(rows);
+            return self.fine(number, rows);
         }
-        let fine = self.fine(rows.start * parts..rows.end * parts)?;
+        let fine = self.fine(number, rows.start * parts..rows.end * parts)?;
         let size = (rows.len(), self.shape[1]);
         Ok(Array2::from_shape_fn(size, |(row, column)| fine[(row * parts, column * parts)]))
     }
 
-    /// Rows of the sub-tiles, in the sub-tiles' pixels.
-    fn fine(&self, rows: Range<usize>) -> Result<Array2<f32>> {
-        let [number, count] = self.detector;
+    /// Rows of a measured image of the sub-tiles, in the sub-tiles' pixels.
+    fn fine(&self, number: usize, rows: Range<usize>) -> Result<Array2<f32>> {
+        let count = self.measured;
         self.partition.blend(rows, |tile| {
             let images = self.store.load(tile.index, tile.stored_shape(count), &Silent);
             let images = images.ok_or_else(|| {
@@ -95,7 +127,7 @@ impl<'a> BlendedImage<'a> {
 
     /// Bands of the image as stored, from top to bottom.
     fn bands(&self) -> StoredBands<'_> {
-        let clean = |rows| self.fine(rows);
+        let clean = |rows| self.fine(self.shown.number, rows);
         StoredBands { image: self, scan: self.scan.map(|scan| scan.begin(clean)) }
     }
 
@@ -134,7 +166,7 @@ impl<'a> BlendedImage<'a> {
     ) -> Result<()> {
         let offset = f64::from(low);
         let scale = if high > low { f64::from(high) - offset } else { 1.0 };
-        writer.scaling(scale, offset)?;
+        writer.scaling(scale, offset, self.shown.detector.units())?;
         let mut overview = Overview::new(self.shape);
         let mut bands = self.bands();
         progress.start("writing tiles", "tile", (self.grid[0] * self.grid[1]) as u64);
@@ -178,14 +210,14 @@ struct StoredBands<'a> {
 }
 
 impl StoredBands<'_> {
-    /// Returns rows as stored, in fractions of the beam; `clean` are the same rows of the noise-free image, if they have been read already.
+    /// Returns rows as stored, in fractions of the beam or in mrad; `clean` are the same rows of the noise-free image, if they have been read already.
     fn rows(&mut self, rows: Range<usize>, clean: Option<Array2<f32>>) -> Result<ScannedRows> {
         if let Some(scan) = &mut self.scan {
             return scan.rows(rows);
         }
         let mut values = clean.map_or_else(|| self.image.clean(rows.clone()), Ok)?;
         if let Some(noise) = &self.image.noise {
-            noise.apply(&mut values, rows.start);
+            self.image.add_noise(noise, &mut values, rows)?;
         }
         let valid = Array2::from_elem(values.dim(), true);
         Ok(ScannedRows { values, valid })

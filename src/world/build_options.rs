@@ -272,13 +272,13 @@ impl BuildOptions {
     }
 }
 
-/// Removes the detectors within the aperture from a recipe of several detectors; also returns their names. `None` if no detector or every
-/// detector lies within the aperture.
+/// Removes the detectors within the aperture, and centres of mass, from a recipe of several detectors; also returns their names. `None` if no
+/// detector or every detector is removed.
 fn without_bright_field(recipe: &Recipe) -> Option<(Recipe, Vec<String>)> {
     let DetectorTables::Several(tables) = &recipe.detector else { return None };
     let semiangle = recipe.optics.convergence_mrad;
     let (bright, others): (Vec<_>, Vec<_>) =
-        tables.iter().cloned().partition(|d| d.outer_mrad <= semiangle);
+        tables.iter().cloned().partition(|d| d.outer_mrad <= semiangle || d.centre_of_mass);
     let found = !bright.is_empty() && !others.is_empty();
     found.then(|| {
         let names = bright.into_iter().map(|d| d.name).collect();

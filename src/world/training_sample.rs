@@ -4,7 +4,7 @@ use ndarray::{Array2, arr2};
 
 use super::column_labels::{REACH_SIGMAS, class_of, draw_column, facts_of};
 use super::region_truth::{list, phases_of_points};
-use crate::detect::Detector;
+use crate::detect::{ShownImage, shown_images};
 use crate::error::{Error, Result};
 use crate::imaging::{Noise, check_countable};
 use crate::imaging::{RegionImager, TurnedRaster, turned_image, turned_images_of_others};
@@ -43,7 +43,8 @@ pub struct SampleOptions {
     pub all_detectors: bool,
 }
 
-/// The image of a sample on a detector beside the main one. Each detector has its own shot noise.
+/// The image of a sample on a detector beside the main one. Each detector has its own shot noise. The images of a centre of mass hold mean
+/// angles in mrad along the axes of the field.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct DetectorImage {
@@ -51,8 +52,10 @@ pub struct DetectorImage {
     pub name: String,
     /// Counted electrons.
     pub counts: Array2<u32>,
-    /// The image without noise, as fraction of the beam.
+    /// The image without noise, as fraction of the beam or as angle.
     pub clean: Array2<f32>,
+    /// The mean angle of the counted electrons, for a centre of mass.
+    pub counted_mrad: Option<Array2<f32>>,
 }
 
 /// A labelled image. All arrays of images are [row, column] = [y, x].
@@ -190,18 +193,16 @@ pub fn training_sample(
         true => turned_images_of_others(recipe, imager, &raster, progress)?,
         false => Vec::new(),
     };
-    let other = |(n, (image, detector)): (usize, (Array2<f64>, Detector))| {
-        let clean = image.mapv(|v| v.max(0.0) as f32);
-        DetectorImage { name: detector.name, counts: noise(n as u16 + 1).counted(&clean), clean }
-    };
-    let named = others.into_iter().zip(recipe.detector.all().into_iter().skip(1));
+    let others: Vec<_> = others.iter().map(|image| image.mapv(|v| v.max(0.0) as f32)).collect();
+    let shown = shown_images(&recipe.detector.measured()).into_iter().skip(1);
+    let shown = shown.filter(|_| !others.is_empty());
     let mut sample = TrainingSample {
         raster,
         dose,
         electrons_per_pixel,
         counts: noise(0).counted(&clean),
         clean,
-        others: named.enumerate().map(other).collect(),
+        others: shown.map(|s| detector_image(&s, &others, &noise(s.number as u16))).collect(),
         heat_map: Array2::zeros((size, size)),
         class_mask: Array2::zeros((size, size)),
         phase_mask: phases_of_points(specimen, [size; 2], |row, column| {
@@ -214,6 +215,20 @@ pub fn training_sample(
     };
     sample.label(specimen, options.sigma_px);
     Ok(sample)
+}
+
+/// The image on a detector, from the measured images after the main one.
+fn detector_image(shown: &ShownImage, measured: &[Array2<f32>], noise: &Noise) -> DetectorImage {
+    let name = shown.detector.name.clone();
+    let electrons = &measured[shown.number - 1];
+    let counts = noise.counted(electrons);
+    let (Some(parts), Some(axis)) = (shown.parts(), shown.axis) else {
+        return DetectorImage { name, counts, clean: electrons.clone(), counted_mrad: None };
+    };
+    let [clean, deviation] = shown.angles(parts.map(|number| measured[number - 1].view()));
+    let mut counted = clean.clone();
+    noise.deflect(&mut counted, 0, (electrons, &deviation), axis);
+    DetectorImage { name, counts, clean, counted_mrad: Some(counted) }
 }
 
 impl TrainingSample {

@@ -228,7 +228,8 @@ impl WorldBuild {
 
     fn work_bytes(&self) -> u64 {
         let BuildLayout { imaged, partition, .. } = &self.layout;
-        footprint::work_bytes(&imaged.field, partition.len(), imaged.detector.count())
+        let measured = imaged.detector.measured().len();
+        footprint::work_bytes(&imaged.field, partition.len(), measured)
     }
 
     fn world_bytes(&self) -> u64 {

@@ -12,6 +12,7 @@ use super::field_scan::FieldScan;
 use super::subtile_store::SubtileStore;
 use super::subtiles::{Partition, SubTile};
 use super::truth::{self, Counts};
+use crate::detect::shown_images;
 use crate::error::{Error, Result};
 use crate::files::Shard;
 use crate::imaging::{Audit, PixelRect, RegionImager};
@@ -67,7 +68,7 @@ impl Job<'_> {
         let work: Vec<usize> = tiles.iter().map(|t| self.imager.work(&self.pixels(t))).collect();
         let [stage, unit] = self.imager.facts().stage;
         self.progress.start(stage, unit, work.iter().sum::<usize>() as u64);
-        let (mut resumed, detectors) = (0, self.layout.recipe.detector.count());
+        let (mut resumed, detectors) = (0, self.layout.recipe.detector.measured().len());
         for (tile, work) in tiles.iter().zip(work) {
             if self.progress.interrupted() {
                 return Err(Error::Interrupted);
@@ -96,7 +97,7 @@ impl Job<'_> {
     fn simulate_one(&self, tile: &SubTile, progress: &dyn Progress) -> Result<Array2<f32>> {
         let configurations = self.layout.recipe.phonons.configurations.max(1);
         let images = self.imager.means_of(&self.pixels(tile), configurations, progress)?;
-        let expected = self.layout.recipe.detector.count();
+        let expected = self.layout.recipe.detector.measured().len();
         if images.len() != expected || images.iter().any(|i| i.shape() != tile.shape()) {
             let shapes: Vec<&[usize]> = images.iter().map(|i| i.shape()).collect();
             let expected = format!("the imager was asked for {expected} of {:?}", tile.shape());
@@ -130,9 +131,10 @@ impl Job<'_> {
         let mut writer = WorldWriter::create(path, &self.header(), keep_clean)?;
         let range = image.range(self.progress)?;
         image.write(&writer, range, keep_clean, self.progress)?;
-        for number in 1..recipe.detector.count() {
+        let shown = shown_images(&recipe.detector.measured());
+        for (number, shown) in shown.into_iter().enumerate().skip(1) {
             writer.next_detector(number, keep_clean)?;
-            let image = image.of_detector(number);
+            let image = image.of_detector(shown);
             image.write(&writer, image.range(self.progress)?, keep_clean, self.progress)?;
         }
         if let Some(scan) = &scan {

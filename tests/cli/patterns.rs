@@ -165,6 +165,50 @@ fn sectors_of_images_and_of_patterns_agree() {
     }
 }
 
+/// The centre of mass that `simulate` makes is the one of patterns, whose square detector holds a little more. Both axes and the noise of a
+/// dose are in the file.
+#[test]
+fn centres_of_mass_of_images_and_of_patterns_agree() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    silicon(here);
+    let scan = &SMALL[..8];
+    let exact = ["--engine", "multislice"];
+    let patterns = ["--pixels", "96", "--max-angle", "60", "-o", "p.emd"];
+    done(here, &[&["patterns", "si.cif"], scan, &exact, &patterns].concat());
+    done(here, &["integrate", "p.emd", "--com", "-o", "a.h5"]);
+    let detector = ["--detector", "COM=0-60:com", "--detector", "BF=0-20", "--dose", "1e6"];
+    let simulate = [&["simulate", "si.cif"], scan, &exact, &detector].concat();
+    let made = done(here, &[&simulate[..], &["-o", "b.h5", "--png"]].concat());
+    assert_eq!(made["images"].as_array().unwrap().len(), 3, "{made}");
+    let read = |file: &str, name: &str| {
+        let file = hdf5::File::open(here.join(file)).unwrap();
+        let image = file.dataset(&format!("images/{name}")).unwrap();
+        let units = image.attr("units").unwrap();
+        let units = units.read_scalar::<hdf5::types::VarLenUnicode>().unwrap();
+        assert!(name == "BF" || units.as_str() == "mrad", "{units}");
+        image.read_raw::<f32>().unwrap()
+    };
+    let rms = |v: &[f32]| (v.iter().map(|v| v * v).sum::<f32>() / v.len() as f32).sqrt();
+    let off = |a: &[f32], b: &[f32]| -> Vec<f32> { a.iter().zip(b).map(|(a, b)| a - b).collect() };
+    for axis in ["x", "y"] {
+        let of_patterns = read("a.h5", &format!("com_{axis}"));
+        let direct = read("b.h5", &format!("COM_{axis}"));
+        let error = rms(&off(&of_patterns, &direct)) / rms(&direct);
+        println!("{axis}: {} mrad rms, off {error}", rms(&direct));
+        assert!(error < 2e-3, "{axis}: {error}");
+        // 1e6 electrons per square Angstrom, whose angles scatter by half of the semiangle and more.
+        let noise = rms(&off(&read("b.h5", &format!("COM_{axis}_noisy")), &direct));
+        assert!(noise > 0.005 && noise < 0.1, "{axis}: {noise}");
+        assert!(here.join(format!("b_COM_{axis}.png")).exists());
+    }
+    let refused = fails(stemgen(here).args(["simulate", "si.cif", "--detector", "C=0-20:com:4"]));
+    assert!(refused.contains("INNER-OUTER:com"), "{refused}");
+    let twice = ["--detector", "C=0-20:com", "--detector", "C_x=0-9"];
+    let twice = fails(stemgen(here).args([&["simulate", "si.cif"], &twice[..]].concat()));
+    assert!(twice.contains("is used twice"), "{twice}");
+}
+
 #[test]
 fn electrons_are_counted_at_every_thickness_and_defocus() {
     let folder = tempfile::tempdir().unwrap();

@@ -179,6 +179,51 @@ fn sectors_add_to_their_annulus_and_carry_their_azimuths() {
     assert_eq!(azimuths, [135.0, 225.0]);
 }
 
+/// The centre of mass of a world: signed images in mrad with the noise of their electrons.
+#[test]
+fn a_centre_of_mass_is_signed_and_has_the_noise_of_its_electrons() {
+    let folder = tempfile::tempdir().unwrap();
+    let both = "detector=[{name=\"HAADF\",inner_mrad=50.0,outer_mrad=90.0},\
+                {name=\"COM\",inner_mrad=0.0,outer_mrad=25.0,centre_of_mass=true}]";
+    let field = "field={fov_nm=[1.0,1.0],grid=[1,1],tile_px=12,overlap_px=0,thickness_nm=0.8}";
+    let recipe = tiny(&[both, field]);
+    let direct = built(folder.path(), "w.h5", &recipe, &options(BuildMethod::Window));
+    let names: Vec<&str> = direct.detectors().iter().map(|d| d.name.as_str()).collect();
+    assert_eq!(names, ["HAADF", "COM_x", "COM_y"]);
+    assert_eq!(direct.detectors(), recipe.detector.all());
+    let [rows, columns] = direct.shape();
+    let electrons = 1e5 * (10.0 * direct.metadata().pixel_size_nm).powi(2);
+    let file = hdf5::File::open(direct.path()).unwrap();
+    for (name, axis) in [("COM_x", "x"), ("COM_y", "y")] {
+        let one = direct.on_detector(name).unwrap();
+        let a = clean(&one);
+        let rms = a.mapv(|v| v * v).mean().unwrap().sqrt();
+        println!("{name}: {rms:.3} mrad rms");
+        assert!(rms > 0.2, "{name}: {rms}");
+        assert!(a.iter().any(|v| *v < 0.0) && a.iter().any(|v| *v > 0.0));
+        let [scale, offset] = one.metadata().scaling.unwrap();
+        let stored = one.stitched(0..rows, 0..columns).unwrap();
+        assert!(offset < 0.0 && stored.iter().all(|v| (0.0..=1.0).contains(v)));
+        let noise = stored.mapv(|v| f64::from(v) * scale + offset) - a.mapv(f64::from);
+        // One electron of an evenly lit disk has the variance of 21^2 / 4; 144 pixels measure it to 12 %.
+        let variance = (&noise * &noise).mean().unwrap() * electrons / (21.0 * 21.0 / 4.0);
+        println!("{name}: variance {variance:.3} of a lit disk");
+        assert!((0.6..1.5).contains(&variance), "{name}: {variance}");
+        let group = file.group(&format!("detectors/{name}")).unwrap();
+        let text = |at: &hdf5::Group, name: &str| {
+            let value = at.attr(name).unwrap().read_scalar::<hdf5::types::VarLenUnicode>().unwrap();
+            value.to_string()
+        };
+        assert_eq!(text(&group, "centre_of_mass"), axis);
+        let tiles = group.group("tiles").unwrap();
+        assert_eq!(text(&tiles, "unit"), "mrad = value * scale + offset");
+        assert_eq!(text(&group.group("clean").unwrap(), "unit"), "mrad");
+    }
+    let recorded = tiny(&[both, "acquisition.profile=\"ideal\""]);
+    let message = WorldBuild::new(&recorded, &options(BuildMethod::Window)).err().unwrap();
+    assert!(message.to_string().contains("a recording has one detector"), "{message}");
+}
+
 #[test]
 fn a_table_and_an_array_of_the_same_detector_give_the_same_tiles() {
     let folder = tempfile::tempdir().unwrap();

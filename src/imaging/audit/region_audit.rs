@@ -9,6 +9,7 @@ use super::column_statistics::{ColumnPoint, KindAudit, column_points, kind_audit
 pub use super::options::AuditOptions;
 use super::places::{AuditPlace, places};
 use super::power_spectrum::{PowerBand, power};
+use crate::detect::{ShownImage, shown_images};
 use crate::engine::{Algorithm, ProbeStep};
 use crate::error::Result;
 use crate::imaging::direct::rectangle_plan;
@@ -79,9 +80,9 @@ pub struct Audit {
     pub configurations: [usize; 2],
     /// Rms error over all bright columns, per cent of their intensity.
     pub bright_rms_percent: f64,
-    /// Rms error over all pixels, per cent of the brightest column.
+    /// Rms error over all pixels, per cent of the brightest column; of a centre of mass, per cent of its rms.
     pub all_rms_percent: f64,
-    /// Rms error over all pixels, per cent of the mean image.
+    /// Rms error over all pixels, per cent of the mean image; of a centre of mass, per cent of its rms.
     pub mean_rms_percent: f64,
     /// Greatest error, per cent of the brightest column.
     pub worst_percent: f64,
@@ -148,15 +149,32 @@ pub fn audit(
         pairs.push(ours.into_iter().zip(exact).collect::<Vec<AuditImages>>());
     }
     progress.finish();
-    let detectors = recipe.detector.all();
-    let of_detector = |n: usize| {
-        let pairs: Vec<&AuditImages> = pairs.iter().filter_map(|pairs| pairs.get(n)).collect();
-        let found = compared(recipe, specimen, (&places, &pairs), step_angstrom);
-        let name = detectors.get(n).filter(|_| detectors.len() > 1).map(|d| d.name.clone());
-        Audit { detector: name, ..summary(imager, [configurations, all], found, step_angstrom) }
+    let shown = shown_images(&recipe.detector.measured());
+    let of_detector = |shown: &ShownImage, name: Option<String>| {
+        let pairs: Vec<AuditImages> = pairs.iter().map(|pairs| shown_pair(shown, pairs)).collect();
+        let found = match shown.axis {
+            None => compared(recipe, specimen, (&places, &pairs), step_angstrom),
+            Some(_) => compared_deflections((&places, &pairs), step_angstrom),
+        };
+        let found = summary(imager, [configurations, all], found, step_angstrom);
+        let mean_rms_percent =
+            if shown.axis.is_some() { found.all_rms_percent } else { found.mean_rms_percent };
+        Audit { detector: name, mean_rms_percent, ..found }
     };
-    let others = (1..imager.facts().detectors).map(of_detector).collect();
-    Ok(Audit { others, ..of_detector(0) })
+    let name = |s: &ShownImage| Some(s.detector.name.clone()).filter(|_| shown.len() > 1);
+    let made = shown.iter().filter(|s| s.number < imager.facts().detectors);
+    let others = made.skip(1).map(|s| of_detector(s, name(s))).collect();
+    Ok(Audit { others, ..of_detector(&shown[0], name(&shown[0])) })
+}
+
+/// The images that users see, from the measured ones.
+fn shown_pair(shown: &ShownImage, pairs: &[AuditImages]) -> AuditImages {
+    let Some(parts) = shown.parts() else { return pairs[shown.number].clone() };
+    let mean = |of: fn(&AuditImages) -> &Array2<f64>| {
+        let [mean, _] = shown.angles(parts.map(|number| of(&pairs[number]).view()));
+        mean.mapv(f64::from)
+    };
+    (mean(|pair| &pair.0), mean(|pair| &pair.1))
 }
 
 /// The audited image of a region, and the exact one.
@@ -169,19 +187,34 @@ type ComparedRegions = (Vec<RegionAudit>, Vec<Vec<ColumnPoint>>);
 fn compared(
     recipe: &Recipe,
     specimen: &dyn Specimen,
-    (places, pairs): (&[AuditPlace], &[&AuditImages]),
+    (places, pairs): (&[AuditPlace], &[AuditImages]),
     step_angstrom: f64,
 ) -> ComparedRegions {
-    let points = |(place, (ours, exact)): (&AuditPlace, &&AuditImages)| {
+    let points = |(place, (ours, exact)): (&AuditPlace, &AuditImages)| {
         column_points(recipe, specimen, &place.pixels, [ours, exact])
     };
     let columns: Vec<Vec<ColumnPoint>> = places.iter().zip(pairs).map(points).collect();
     let top = columns.iter().flatten().map(|c: &ColumnPoint| c.exact).fold(1e-12, f64::max);
-    let region = |((place, pair), columns): ((&AuditPlace, &&AuditImages), &Vec<ColumnPoint>)| {
-        compare(place.centre_nm, (*pair).clone(), columns, step_angstrom, top)
+    let region = |((place, pair), columns): ((&AuditPlace, &AuditImages), &Vec<ColumnPoint>)| {
+        compare(place.centre_nm, pair.clone(), columns, step_angstrom, top)
     };
     let regions = places.iter().zip(pairs).zip(&columns).map(region).collect();
     (regions, columns)
+}
+
+/// Compares the images of a centre of mass: errors are in per cent of its rms over all regions.
+fn compared_deflections(
+    (places, pairs): (&[AuditPlace], &[AuditImages]),
+    step_angstrom: f64,
+) -> ComparedRegions {
+    let exact = pairs.iter().flat_map(|(_, exact)| exact.iter().copied());
+    let top = rms(exact).max(1e-12);
+    let region = |(place, pair): (&AuditPlace, &AuditImages)| {
+        let found = compare(place.centre_nm, pair.clone(), &[], step_angstrom, top);
+        let mean = (&pair.0 - &pair.1).mean().unwrap_or(0.0);
+        RegionAudit { mean_percent: 100.0 * mean / top, ..found }
+    };
+    (places.iter().zip(pairs).map(region).collect(), Vec::new())
 }
 
 /// The exact engine: multislice on the full grid.

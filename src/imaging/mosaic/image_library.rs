@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use ndarray::Array2;
 
+use crate::detect::Detector;
 use crate::engine::{Images, Plan, PlannedScan, Settings, Simulation};
 use crate::error::{Error, Result};
 use crate::files::Shard;
@@ -32,7 +33,7 @@ pub(crate) struct MissingImage {
 pub(crate) struct ImageLibrary {
     cells: BTreeMap<TurnedFamily, Arc<CellImages>>,
     settings: Settings,
-    /// Whether the optics are round. Then an image does not change when its cell is turned, and turned library cells share it.
+    /// Whether optics and detectors are round. Then an image does not change when its cell is turned, and turned library cells share it.
     round: bool,
     configurations: usize,
     detectors: usize,
@@ -62,13 +63,13 @@ impl ImageLibrary {
         ImageLibrary {
             cells: BTreeMap::new(),
             settings: Settings { phonons: None, ..settings.clone() },
-            round: settings.optics.is_round(),
+            round: settings.optics.is_round() && settings.detectors.iter().all(Detector::is_round),
             configurations: settings.configurations() as usize,
             detectors: settings.detectors.len(),
         }
     }
 
-    /// The family whose library cells serve a turned family: without the turn if the optics are round.
+    /// The family whose library cells serve a turned family: without the turn if optics and detectors are round.
     fn shared(&self, turned: TurnedFamily) -> TurnedFamily {
         if self.round { turned.straight() } else { turned }
     }
@@ -94,6 +95,7 @@ impl ImageLibrary {
             true => self.settings.clone(),
             false => Settings {
                 optics: self.settings.optics.seen_from(turned.frame()),
+                detectors: turned_detectors(&self.settings, turned),
                 ..self.settings.clone()
             },
         };
@@ -471,6 +473,11 @@ impl<'a> CellSimulator<'a> {
     fn note(&self, cell: &CellImages, image: [usize; 2]) -> String {
         serde_json::to_string(&cell.note(self.sigma, image)).unwrap_or_default()
     }
+}
+
+/// The detectors as seen from the library cells of a turned family.
+fn turned_detectors(settings: &Settings, turned: TurnedFamily) -> Vec<Detector> {
+    settings.detectors.iter().map(|d| d.seen_from(turned.frame())).collect()
 }
 
 /// The images of all detectors, one below the other.

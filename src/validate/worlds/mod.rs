@@ -198,11 +198,12 @@ fn image_lines(a: &Measured, b: &Measured) -> [Line; 4] {
     ]
 }
 
-/// Returns the names of the detectors, without the main ones, that both worlds have.
+/// Returns the names of the detectors, without the main ones, that both worlds have. The mean of a centre of mass is about 0, and is not
+/// compared.
 fn common_detectors([a, b]: &[WorldFile; 2]) -> Vec<String> {
     let there = |name: &String| b.detectors().iter().skip(1).any(|d| d.name == *name);
-    let names = a.detectors().iter().skip(1).map(|d| d.name.clone());
-    names.filter(there).collect()
+    let counted = a.detectors().iter().skip(1).filter(|d| !d.is_deflection());
+    counted.map(|d| d.name.clone()).filter(there).collect()
 }
 
 /// Compares the detectors of both worlds; `None` if neither has names for them.

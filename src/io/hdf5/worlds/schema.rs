@@ -13,6 +13,8 @@ pub(crate) const CLEAN: &str = "clean";
 /// Group of the detectors of a world with several: one group each, with its tiles, overview and noiseless tiles. The group of the main
 /// detector links to the place of the images of a single detector.
 pub(crate) const DETECTORS: &str = "detectors";
+/// Attribute of a detector's group: the axis of an image of a centre of mass.
+pub(crate) const CENTRE_OF_MASS: &str = "centre_of_mass";
 /// Group of the ground truth.
 pub(crate) const TRUTH: &str = "ground_truth";
 /// Dataset that is true for pixels that show specimen.

@@ -5,7 +5,7 @@ use hdf5::{File, Group};
 use super::schema;
 use super::world_file::WorldFile;
 use super::world_metadata::scaling;
-use crate::detect::Detector;
+use crate::detect::{CentreOfMass, Detector};
 use crate::error::{Error, Result};
 use crate::io::hdf5::hdf5_guard::{self, Guarded, number};
 use crate::setting::Setting;
@@ -31,7 +31,9 @@ pub(super) fn read(file: &File) -> Guarded<Vec<Detector>> {
         match (angle("inner_mrad"), angle("outer_mrad")) {
             (Some(inner), Some(outer)) => {
                 let sector_degrees = group.as_ref().and_then(sector);
-                Ok(Detector { sector_degrees, ..Detector::new(&name, inner, outer) })
+                let centre_of_mass = group.as_ref().and_then(axis);
+                let annulus = Detector::new(&name, inner, outer);
+                Ok(Detector { sector_degrees, centre_of_mass, ..annulus })
             }
             _ => Err(unusable(&format!("has no usable group for `{name}`"))),
         }
@@ -43,6 +45,15 @@ pub(super) fn read(file: &File) -> Guarded<Vec<Detector>> {
 fn sector(group: &Group) -> Option<[f64; 2]> {
     let values = group.attr("sector_degrees").ok()?.read_raw::<f64>().ok()?;
     <[f64; 2]>::try_from(values).ok().filter(|ends| ends.iter().all(|v| v.is_finite()))
+}
+
+/// Returns the axis of an image of a centre of mass.
+fn axis(group: &Group) -> Option<CentreOfMass> {
+    match hdf5_guard::text(group, schema::CENTRE_OF_MASS)?.as_str() {
+        "x" => Some(CentreOfMass::X),
+        "y" => Some(CentreOfMass::Y),
+        _ => None,
+    }
 }
 
 impl WorldFile {

@@ -9,13 +9,15 @@ use ndarray::ArrayView2;
 use super::schema;
 use super::truth_writer::TruthWriter;
 use crate::acquisition::{Acquisition, Exposure};
-use crate::detect::Detector;
+use crate::detect::{CentreOfMass, Detector};
 use crate::error::{Error, Result};
 use crate::io::hdf5::At;
 use crate::io::hdf5::hdf5_create::{self, number, text};
 use crate::recipe::OVERVIEW_FACTOR;
 
 const DEFLATE: u8 = 1;
+/// Unit of images of electrons.
+const FRACTIONS: &str = "fraction of the incident beam";
 
 /// Description of a world.
 #[derive(Debug, Clone, Default)]
@@ -85,7 +87,7 @@ impl WorldWriter {
             write_header(&metadata, header)?;
             let tile = [header.tile_size_px.min(shape[0]), header.tile_size_px.min(shape[1])];
             let valid = compressed::<bool>(&file, schema::VALID_REGION, shape.into(), &tile)?;
-            let (tiles, clean) = image_groups(&file, keep_clean)?;
+            let (tiles, clean) = image_groups(&file, keep_clean, FRACTIONS)?;
             if !header.detectors.is_empty() {
                 write_detectors(&file, &header.detectors, keep_clean)?;
             }
@@ -108,25 +110,27 @@ impl WorldWriter {
     /// # Errors
     /// [`Error::Hdf5`].
     pub(crate) fn next_detector(&mut self, number: usize, keep_clean: bool) -> Result<()> {
-        let name = self.detectors.get(number).map_or("", |d| d.name.as_str());
+        let detector = self.detectors.get(number);
+        let name = detector.map_or("", |d| d.name.as_str());
+        let units = detector.map_or(FRACTIONS, Detector::units);
         let make = || -> hdf5::Result<(Group, (Group, Option<Group>))> {
             let group = self.file.group(&schema::detector_group(name))?;
-            let groups = image_groups(&group, keep_clean)?;
+            let groups = image_groups(&group, keep_clean, units)?;
             Ok((group, groups))
         };
         (self.images, (self.tiles, self.clean)) = make().at(&self.path)?;
         Ok(())
     }
 
-    /// Writes the linear scaling of all tiles: fraction of the beam = value * scale + offset.
+    /// Writes the linear scaling of all tiles: a value in `units`, such as a fraction of the beam, is value * scale + offset.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub(crate) fn scaling(&self, scale: f64, offset: f64) -> Result<()> {
+    pub(crate) fn scaling(&self, scale: f64, offset: f64, units: &str) -> Result<()> {
         let write = || {
             number(&self.tiles, "scale", scale)?;
             number(&self.tiles, "offset", offset)?;
-            text(&self.tiles, "unit", "fraction of the incident beam = value * scale + offset")
+            text(&self.tiles, "unit", &format!("{units} = value * scale + offset"))
         };
         write().at(&self.path)
     }
@@ -267,10 +271,14 @@ fn write_header(group: &Group, h: &Header) -> hdf5::Result<()> {
 }
 
 /// Creates the groups of tiles, and of noiseless tiles if they are kept.
-fn image_groups(group: &Group, keep_clean: bool) -> hdf5::Result<(Group, Option<Group>)> {
+fn image_groups(
+    group: &Group,
+    keep_clean: bool,
+    units: &str,
+) -> hdf5::Result<(Group, Option<Group>)> {
     let clean = keep_clean.then(|| hdf5_create::group(group, schema::CLEAN)).transpose()?;
     if let Some(clean) = &clean {
-        text(clean, "unit", "fraction of the incident beam")?;
+        text(clean, "unit", units)?;
     }
     Ok((hdf5_create::group(group, schema::TILES)?, clean))
 }
@@ -287,6 +295,11 @@ fn write_detectors(file: &File, detectors: &[Detector], keep_clean: bool) -> hdf
         number(&group, "outer_mrad", detector.outer_mrad)?;
         if let Some(sector) = detector.sector_degrees {
             group.new_attr_builder().with_data(&sector).create("sector_degrees")?;
+        }
+        match detector.centre_of_mass {
+            Some(CentreOfMass::X) => text(&group, schema::CENTRE_OF_MASS, "x")?,
+            Some(CentreOfMass::Y) => text(&group, schema::CENTRE_OF_MASS, "y")?,
+            _ => {}
         }
         if n == 0 {
             let clean = keep_clean.then_some(schema::CLEAN);
