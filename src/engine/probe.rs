@@ -290,9 +290,11 @@ pub(super) fn low_bins(plan: &Plan, grid: &Grid) -> Vec<(usize, usize)> {
     rows.flat_map(|iy| (0..nx).map(move |ix| (iy, ix))).filter(low).collect()
 }
 
-/// The probe at the origin and the entrance surface on `grid`, normalised by the settings: bins (row, column) within the aperture, and
-/// amplitudes.
-pub(super) fn aperture(plan: &Plan, grid: &Grid) -> Vec<((usize, usize), Complex64)> {
+/// The bins (row, column) within an aperture, with their amplitudes.
+pub(super) type Lens = Vec<((usize, usize), Complex64)>;
+
+/// The probe at the origin and the entrance surface on `grid`, normalised by the settings.
+pub(super) fn aperture(plan: &Plan, grid: &Grid) -> Lens {
     let optics = &plan.settings.optics;
     let (ny, nx) = grid.shape();
     let mut lens = Vec::new();
@@ -342,7 +344,7 @@ pub(super) fn repeated(plan: &Plan, cell: &Grid) -> Grid {
 /// The probe in real space at `position` (Angstrom) on `grid`, the box in which it is made, from its [`aperture`]. The result is an array of
 /// `fft`, the transform of this grid.
 pub(super) fn probe_in_box(
-    lens: &[((usize, usize), Complex64)],
+    lens: &Lens,
     grid: &Grid,
     position: [f64; 2],
     fft: &Fft2,

@@ -8,7 +8,7 @@
 use super::accuracy::LEAST_INNER_SEMIANGLES;
 use super::grid::Grid;
 use super::plan::Plan;
-use super::probe::{aperture, probe_in_box, repeated};
+use super::probe::{Lens, aperture, probe_in_box, repeated};
 use super::probe_patches::{ProbePatches, window_centre};
 use super::probe_scan::ProbePlaces;
 use super::single_precision::single;
@@ -34,7 +34,7 @@ fn applies(detector: &Detector, plan: &Plan) -> bool {
 pub(super) struct ProbeTail<'a> {
     plan: &'a Plan,
     /// The aperture at each focus in the box `around`, with the weight of the focus.
-    foci: Vec<(f64, Vec<((usize, usize), Complex64)>)>,
+    foci: Vec<(f64, Lens)>,
     /// The cell.
     cell: TailGrid,
     /// The box in which probes are made: the cell, repeated.
@@ -155,12 +155,7 @@ impl<'a> ProbeTail<'a> {
 
     /// Fourier coefficients of the tail of a probe at the origin: the part outside a window whose middle is at a distance of `offset`
     /// (Angstrom) from the probe.
-    fn outside(
-        &self,
-        lens: &[((usize, usize), Complex64)],
-        offset: [f64; 2],
-        scratch: &mut Scratch,
-    ) -> Buffer {
+    fn outside(&self, lens: &Lens, offset: [f64; 2], scratch: &mut Scratch) -> Buffer {
         let around = &self.around;
         let (window, centre) = (&self.plan.wave_grid, window_centre(self.plan));
         // The window begins at the origin of the box.
