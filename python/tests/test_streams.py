@@ -119,22 +119,6 @@ def test_samples_of_all_detectors() -> None:
         sw.stream(recipe, detectors="some", **options)  # type: ignore[call-overload]
 
 
-def test_centres_of_mass_of_samples_and_worlds(tmp_path: Path) -> None:
-    haadf = {"name": "HAADF", "inner_mrad": 68.0, "outer_mrad": 120.0}
-    com = {"name": "COM", "inner_mrad": 0.0, "outer_mrad": 50.0, "centre_of_mass": True}
-    recipe = sw.Recipe("test", set={**TINY["set"], "detector": [haadf, com], "phonons.configurations": 1})
-    sample = sw.stream(recipe, detectors="all", **{**OPTIONS, "size": 16, "cache": False}).sample(1)
-    assert list(sample.images) == ["HAADF", "COM_x", "COM_y"] == list(sample.clean_images)
-    clean, noisy = sample.clean_images["COM_x"], sample.images["COM_x"]
-    assert clean.min() < 0 < clean.max() and 0 < np.abs(noisy - clean).std() < 21
-    with sw.build(recipe, out=tmp_path / "com.h5", audit=0, keep_clean=True, engine="window", window_angstrom=7.8, grid=(1, 1)) as world:
-        assert world.metadata.centres_of_mass == {"COM_x": "x", "COM_y": "y"}
-        image = world.image(clean=True, detector="COM_y")
-        assert image.units == "mrad" and image.array.min() < 0 < image.array.max()
-        angles = world.fractions(world.image(detector="COM_y"), detector="COM_y")
-        assert np.abs(angles - image.array).mean() < 20
-
-
 def test_particles_have_outlines(tmp_path: Path) -> None:
     recipe = sw.Recipe("pt", "easy", set={"field.fov_nm": [6.0, 6.0], "field.grid": [2, 2], "particles.count": 1, "phonons.configurations": 1, "field.thickness_nm": 1.0, "particles.diameter_nm": [1.5, 2.0]})
     stream = sw.stream(recipe, size=40, pixel_nm=0.1, angle_deg=0, seed=2, batch=2)

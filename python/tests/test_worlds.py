@@ -326,6 +326,19 @@ def test_a_cache_is_filled_in_parts_and_verified(tmp_path: Path, monkeypatch: py
     assert sw.cache.fill("pt", "easy") == sw.cache.Filling(0, 0, 0)
 
 
+def test_centre_of_mass_of_a_world(tmp_path: Path) -> None:
+    haadf = {"name": "HAADF", "inner_mrad": 50.0, "outer_mrad": 90.0}
+    com = {"name": "COM", "inner_mrad": 0.0, "outer_mrad": 25.0, "centre_of_mass": True}
+    field = {"fov_nm": [1.0, 1.0], "grid": [1, 1], "tile_px": 12, "overlap_px": 0, "thickness_nm": 0.8}
+    recipe = sw.Recipe(ROOT / "tests/cli/tiny.toml", set={"detector": [haadf, com], "field": field})
+    with sw.build(recipe, out=tmp_path / "com.h5", audit=0, keep_clean=True, engine="window", window_angstrom=5.0) as world:
+        assert world.metadata.centres_of_mass == {"COM_x": "x", "COM_y": "y"}
+        image = world.image(clean=True, detector="COM_y")
+        assert image.units == "mrad" and image.array.min() < 0 < image.array.max()
+        angles = world.fractions(world.image(detector="COM_y"), detector="COM_y")
+        assert 0 < np.abs(angles - image.array).mean() < 1
+
+
 def test_layers_dislocations_and_particles_of_a_stack(tmp_path: Path) -> None:
     haadf = {"name": "HAADF", "inner_mrad": 68.0, "outer_mrad": 200.0}
     halves = {"name": "HALF", "inner_mrad": 50.0, "outer_mrad": 150.0, "sectors": 2}
