@@ -314,7 +314,7 @@ fn of_job(request: &SimulationRequest) -> (Array4<f32>, SimulationJob) {
         }
         Ok(())
     };
-    job.patterns(0, &mut take, &Silent).unwrap();
+    job.patterns(0, None, &mut take, &Silent).unwrap();
     (all, job)
 }
 
