@@ -3,8 +3,8 @@
 #
 #     sh tests/run.sh [--all]
 #
-# With --all, what is slow or rare too: tests that are marked `ignore`, fuzzing of a million inputs, all pages of the documentation, PyTorch,
-# the system's HDF5 library in place of the program's own copy, and the oldest Rust where it is installed. Hours.
+# With --all, what is slow or rare too: tests that are marked `ignore` or `long`, fuzzing of a million inputs, all pages of the
+# documentation, PyTorch, the system's HDF5 library in place of the program's own copy, and the oldest Rust where it is installed. Hours.
 set -eu
 cd "$(dirname "$0")/.."
 . tests/parts.sh
@@ -41,8 +41,8 @@ if ! python3 -c 'import ensurepip, venv' >/dev/null 2>&1; then
 fi
 mkdir -p target
 part "packages"
-# 3 GB, so that networks are trained too.
-[ -z "$all" ] || export STEMWORLDS_TRAIN=1
+# 3 GB, so that networks are trained too; and Python's long tests.
+[ -z "$all" ] || export STEMWORLDS_TRAIN=1 STEMWORLDS_LONG=1
 # cmake, for the copy of the HDF5 library that tests and wheel share; the rest comes over the network while the compiler works.
 sh python/packages.sh build
 PATH="$PWD/target/python/build/bin:$PATH"

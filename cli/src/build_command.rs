@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use stemgen::acquisition::{Acquisition, AcquisitionTable, Profile};
 use stemgen::engine::Expansion;
 use stemgen::files::Shard;
-use stemgen::files::outputs::check_outputs;
+use stemgen::files::outputs::{check_outputs, work_folder};
 use stemgen::imaging::Audit;
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
@@ -27,7 +27,7 @@ use stemgen::render::image_pictures;
 use stemgen::world::footprint::PICTURE;
 use stemgen::world::{
     BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, WorldPlan,
-    remove_leftovers, work_folder,
+    remove_leftovers,
 };
 
 const EXAMPLES: &str = "\

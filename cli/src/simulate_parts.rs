@@ -11,10 +11,10 @@ use super::progress_bar::Reporter;
 use super::text;
 use stemgen::engine::{Plan, Scan, ScanPart, series_digest, simulate_part};
 use stemgen::files::array_store::{ArrayStore, Stored};
+use stemgen::files::outputs::work_folder;
 use stemgen::files::{OutputLock, Shard};
 use stemgen::progress::Progress;
 use stemgen::structure::Site;
-use stemgen::world::work_folder;
 
 const EXTENSION: &str = "part";
 

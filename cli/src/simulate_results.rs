@@ -12,6 +12,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
 use stemgen::files::atomic_write;
+use stemgen::files::outputs::work_folder;
 use stemgen::files::{OutputLock, OutputSet};
 use stemgen::io::{
     ExitWaves, HspyFacts, ImageCounts, ImageSeries, ImageStack, Origin, write_complex_npy,
@@ -19,7 +20,6 @@ use stemgen::io::{
 };
 use stemgen::render::image_pictures::{self, GreyScale};
 use stemgen::simulation::SimulatedImage;
-use stemgen::world::work_folder;
 
 /// Files beside the file with all images.
 pub struct SideFiles {

@@ -36,6 +36,15 @@ def pytest_configure() -> None:
     assert not Path(sw.__file__).is_relative_to(SOURCES), f"{sw.__file__} is no installed package"
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long tests are run by `sh tests/run.sh --all`, which sets STEMWORLDS_LONG."""
+    if os.environ.get("STEMWORLDS_LONG"):
+        return
+    for item in items:
+        if item.get_closest_marker("long"):
+            item.add_marker(pytest.mark.skip(reason="long: sh tests/run.sh --all runs it"))
+
+
 @pytest.fixture(scope="session")
 def standard_error() -> Iterator[Any]:
     """Standard error as it is outside of tests."""

@@ -34,6 +34,7 @@ def test_gymnasium_accepts_all_environments(field_path: Path, name: str) -> None
         check_env(env.unwrapped)
 
 
+@pytest.mark.long
 def test_gymnasium_accepts_wrapped_environments(field_path: Path) -> None:
     def make() -> gym.Env[Any, Any]:
         return gym.make("stemworlds/DefectCensus-v0", world=field_path).unwrapped
@@ -115,7 +116,11 @@ def looks_of(env: Any, seed: int) -> list[Any]:
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
-@pytest.mark.parametrize("options", [{}, {**RECIPE, "damage": True, "reward": "score_gain"}], ids=["file", "damage"])
+@pytest.mark.parametrize(
+    "options",
+    [{}, pytest.param({**RECIPE, "damage": True, "reward": "score_gain"}, marks=pytest.mark.long)],
+    ids=["file", "damage"],
+)
 def test_a_copy_is_in_the_same_episode(field_path: Path, copied: Any, options: dict[str, Any]) -> None:
     made = gym.make("stemworlds/Targeted-v0", **(options or {"world": field_path}), overview=False)
     # Before the first reset.

@@ -123,6 +123,7 @@ def recording(live: sw.LiveWorld, work: Callable[[], str]) -> str:
         thread.join()
 
 
+@pytest.mark.long
 def test_a_live_world_that_another_thread_uses_is_refused_in_a_child(library: str) -> None:
     options: dict[str, Any] = {"grid": (1, 1), "set": DYING, "seed": 3, "most_dose": 5e5, "cache": library}
     live, free = sw.LiveWorld("test", **options), sw.LiveWorld("test", **options)

@@ -119,6 +119,7 @@ def test_samples_of_all_detectors() -> None:
         sw.stream(recipe, detectors="some", **options)  # type: ignore[call-overload]
 
 
+@pytest.mark.long
 def test_particles_have_outlines(tmp_path: Path) -> None:
     recipe = sw.Recipe("pt", "easy", set={"field.fov_nm": [6.0, 6.0], "field.grid": [2, 2], "particles.count": 1, "phonons.configurations": 1, "field.thickness_nm": 1.0, "particles.diameter_nm": [1.5, 2.0]})
     stream = sw.stream(recipe, size=40, pixel_nm=0.1, angle_deg=0, seed=2, batch=2)

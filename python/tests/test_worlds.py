@@ -156,7 +156,7 @@ def test_pictures_and_pages(world_path: Path, tmp_path: Path) -> None:
 
 
 def test_detectors_have_names(tmp_path: Path, world_path: Path) -> None:
-    angles = {"HAADF": (68.0, 200.0), "ABF": (11.0, 21.0)}
+    angles = {"HAADF": (50.0, 90.0), "ABF": (11.0, 21.0)}
     tables = [{"name": name, "inner_mrad": low, "outer_mrad": high} for name, (low, high) in angles.items()]
     path = tmp_path / "two.h5"
     options: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "detector": tables}, "grid": (1, 1), "seed": 5}

@@ -76,7 +76,7 @@ pub(crate) const PARTIAL: &str = ".partial";
 /// Ending of the file that names the process that writes an output.
 pub(crate) const LOCK: &str = ".lock";
 /// Ending of the folder in which a build keeps its work until its output is complete.
-pub(crate) const WORK: &str = ".work";
+const WORK: &str = ".work";
 
 /// Ending of the note that names the command whose outputs are being put in place.
 pub(crate) const UNFINISHED: &str = ".unfinished";
@@ -101,6 +101,11 @@ pub(crate) fn beside(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(ending);
     PathBuf::from(name)
+}
+
+/// Returns the folder where the making of an output keeps its work until it is complete.
+pub fn work_folder(output: &Path) -> PathBuf {
+    beside(output, WORK)
 }
 
 /// Whether an input has the name of a file or folder that a build keeps beside `output` until it is finished, and then removes.

@@ -73,7 +73,6 @@ mod with_hdf5 {
     pub use made_world::{WorldEngine, imaging_of};
     pub use publish::Companion;
     pub use recording_job::{RecordedFrom, RecordingJob, RecordingRequest};
-    pub use subtile_store::work_folder;
     pub use truth::Counts;
     pub use work_folder::remove_leftovers;
     pub use world_build::{WorldBuild, build};

@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use crate::error::{Error, Result};
 use crate::files::array_store::{ArrayStore, Stored};
 use crate::files::atomic_write;
-use crate::files::outputs::{WORK, beside, set_aside};
+use crate::files::outputs::{set_aside, work_folder};
 use crate::progress::Progress;
 use crate::setting::Setting;
 
@@ -217,11 +217,6 @@ fn changed_lines(old: &str, new: &str) -> String {
 
 fn name(index: usize) -> String {
     format!("subtile_{index:06}")
-}
-
-/// Returns the folder where the build of an output keeps its work until it is complete.
-pub fn work_folder(output: &Path) -> PathBuf {
-    beside(output, WORK)
 }
 
 #[cfg(test)]

@@ -9,8 +9,9 @@ use sha2::{Digest, Sha256};
 
 use super::build_summary::BuildSummary;
 use super::footprint;
-use super::subtile_store::{SubtileStore, work_folder};
+use super::subtile_store::SubtileStore;
 use crate::error::{Error, Result};
+use crate::files::outputs::work_folder;
 use crate::files::outputs::{LOCK, beside};
 use crate::files::{OutputLock, atomic_write};
 use crate::imaging::{Cache, KeptAudits};

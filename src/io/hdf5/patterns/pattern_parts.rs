@@ -8,11 +8,11 @@ use ndarray::{Array2, Array5};
 use crate::engine::{PatternRows, series_digest};
 use crate::error::{Error, Result};
 use crate::files::array_store::{ArrayStore, Stored, checked};
+use crate::files::outputs::work_folder;
 use crate::files::{OutputLock, Shard};
 use crate::progress::Progress;
 use crate::setting::Setting;
 use crate::simulation::{SimulationJob, StoredPatterns};
-use crate::world::work_folder;
 
 const EXTENSION: &str = "part";
 
