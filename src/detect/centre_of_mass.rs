@@ -62,7 +62,7 @@ impl CentreOfMass {
         !matches!(self, CentreOfMass::Images | CentreOfMass::X | CentreOfMass::Y)
     }
 
-    /// The part as seen from a frame, whose rows rotate directions of the frame into those of this part.
+    /// The part as seen from a frame, whose rows rotate directions of the frame into directions of this part.
     pub(super) fn seen_from(self, [[a, b], [c, d]]: [[f64; 2]; 2]) -> Self {
         let turned = |[x, y]: [f64; 2]| [a * x + c * y, b * x + d * y];
         match self {
