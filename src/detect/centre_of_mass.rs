@@ -162,7 +162,7 @@ impl ShownImage {
         }
     }
 
-    /// The images of the mean angle and of the standard deviation of one electron, in mrad, from those of electrons, share and square.
+    /// The images of the mean angle and of the standard deviation of one electron, in mrad, from the images of electrons, share and square.
     pub fn angles<A: Copy + Into<f64>, D: Dimension>(
         &self,
         parts: [ArrayView<'_, A, D>; 3],

@@ -9,7 +9,7 @@ impl Detector {
             && matches!(self.centre_of_mass, None | Some(CentreOfMass::Electrons))
     }
 
-    /// The detector as seen from a frame, whose rows rotate directions of the frame into those of the detector.
+    /// The detector as seen from a frame, whose rows rotate directions of the frame into directions of the detector.
     #[must_use]
     pub(crate) fn seen_from(&self, frame: [[f64; 2]; 2]) -> Self {
         let [[a, b], [c, d]] = frame;
