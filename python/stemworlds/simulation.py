@@ -200,7 +200,7 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
 
     Returns:
         One :class:`Image` for each detector, ``[y, x]`` in fractions of the incident beam (a centre of mass has two, in mrad);
-            ``[thickness, y, x]`` for several thicknesses. A
+        ``[thickness, y, x]`` for several thicknesses. A
         defocus series has one image for each value: ``"HAADF_defocus_20A"``; files contain the series as one stack. If there is one image
         only, the result can be used as this image.
 
@@ -222,10 +222,10 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
     thicknesses = tuple(found["thicknesses_angstrom"])
     images = {}
     for item in found["images"]:
-        arrays = [item["data"], item["counts"], item["counted_mrad"]]
+        data, counts, counted_mrad = item["data"], item["counts"], item["counted_mrad"]
         if len(thicknesses) == 1:
-            arrays = [None if array is None else array[0] for array in arrays]
-        data, counts, counted_mrad = arrays
+            data, counts = data[0], None if counts is None else counts[0]
+            counted_mrad = None if counted_mrad is None else counted_mrad[0]
         more: dict[str, Any] = {"defocus_angstrom": item["defocus_angstrom"], "annulus_mrad": tuple(item["annulus_mrad"])}
         if item["sector_degrees"] is not None:
             more["sector_degrees"] = tuple(item["sector_degrees"])
