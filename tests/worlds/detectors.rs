@@ -225,6 +225,7 @@ fn a_centre_of_mass_is_signed_and_has_the_noise_of_its_electrons() {
 }
 
 #[test]
+#[ignore = "long"]
 fn a_table_and_an_array_of_the_same_detector_give_the_same_tiles() {
     let folder = tempfile::tempdir().unwrap();
     let array = "detector=[{name=\"HAADF\",inner_mrad=50.0,outer_mrad=90.0}]";
@@ -255,6 +256,7 @@ fn bytes_of_several_detectors_do_not_depend_on_threads() {
 }
 
 #[test]
+#[ignore = "long"]
 fn an_audit_tells_the_error_of_every_detector_of_a_mosaic() {
     let field = "field={fov_nm=[2.2,2.2],grid=[1,1],tile_px=110,overlap_px=0,thickness_nm=0.8}";
     let recipe = tiny(&[THREE, field]);

@@ -176,6 +176,7 @@ fn shapes_of_metals_and_spheres_and_tilts() {
 }
 
 #[test]
+#[ignore = "long"]
 fn particles_do_not_depend_on_the_number_of_threads() {
     let recipe = checked(ON_CARBON, 3.5, &["Sr", "Ti", "O", "C"]);
     let made = |threads: usize| {
