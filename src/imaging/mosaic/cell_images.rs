@@ -24,7 +24,7 @@ use crate::structure::elements;
 /// Version of the draws. The text from which the seeds of phonons are made begins with it.
 const DRAWS_VERSION: u32 = 7;
 /// Version of the images of recipes with several detectors. It is part of their keys.
-const SEVERAL_VERSION: u32 = 1;
+const SEVERAL_VERSION: u32 = 2;
 /// Number of the draw of [`Purpose::Library`] for the contents of surroundings.
 const SURROUNDINGS_DRAW: u32 = 1 << 20;
 
