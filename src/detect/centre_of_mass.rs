@@ -74,6 +74,9 @@ impl CentreOfMass {
 }
 
 impl Detector {
+    /// Unit of images of electrons.
+    pub(crate) const FRACTION_OF_BEAM: &str = "fraction of the incident beam";
+
     /// Makes an annulus (usually a disk) that gives the images `NAME_x` and `NAME_y` of the centre of mass.
     #[must_use]
     pub fn with_centre_of_mass(self) -> Self {
@@ -87,7 +90,7 @@ impl Detector {
 
     /// Unit of the values of an image.
     pub fn units(&self) -> &'static str {
-        if self.is_deflection() { "mrad" } else { "fraction of the incident beam" }
+        if self.is_deflection() { "mrad" } else { Self::FRACTION_OF_BEAM }
     }
 
     /// The detectors as users see them, each with an image: of a centre of mass two.

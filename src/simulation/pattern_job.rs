@@ -77,7 +77,7 @@ pub struct PatternBand<'a> {
 
 /// Patterns that were simulated before: parts of several processes.
 pub trait StoredPatterns {
-    /// The rows of the simulated scan that are stored for a plan, each range with a name of its own; sorted, and not overlapping.
+    /// The rows of [`SimulationJob::simulated_scan`] that are stored for a plan: sorted ranges that do not overlap.
     fn ranges(&self, plan: usize) -> Vec<Range<usize>>;
 
     /// The fractions of the beam, (thickness, row, column, ky, kx); `None` if they cannot be used.
@@ -238,18 +238,16 @@ impl SimulationJob {
         self.simulated_rows(plan, next..scan.shape[0], &mut take_rows, progress)
     }
 
-    /// The scan whose probes are simulated for patterns, and the rows of it that one of several processes simulates at one defocus.
+    /// The rows of [`SimulationJob::simulated_scan`] that one of several processes simulates at one defocus.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a request without patterns.
-    pub fn pattern_part(&self, plan: usize, shard: Shard) -> Result<(Scan, Range<usize>)> {
+    pub fn pattern_part(&self, plan: usize, shard: Shard) -> Result<Range<usize>> {
         self.asked()?;
-        let scan = self.pattern_scan().unwrap_or(*self.scan());
-        let rows = pattern_rows(&self.plans()[plan], &scan, shard);
-        Ok((scan, rows))
+        Ok(pattern_rows(&self.plans()[plan], &self.simulated_scan()?, shard))
     }
 
-    /// Simulates rows of the scan of [`SimulationJob::pattern_part`]: fractions of the beam, before source, transfer function and noise.
+    /// Simulates rows of [`SimulationJob::simulated_scan`]: fractions of the beam, before source, transfer function and noise.
     pub(crate) fn simulated_rows(
         &self,
         plan: usize,
@@ -260,8 +258,7 @@ impl SimulationJob {
         if rows.is_empty() {
             return Ok(());
         }
-        let settings = self.asked()?;
-        let scan = self.pattern_scan().unwrap_or(*self.scan());
+        let (settings, scan) = (self.asked()?, self.simulated_scan()?);
         let (plan, frames) = (&self.plans()[plan], self.specimen().frames());
         simulate_pattern_rows(plan, &frames, (&scan, rows), settings, take, progress)
     }
@@ -331,7 +328,11 @@ impl SimulationJob {
         cost.memory_bytes(threads()) + held
     }
 
-    fn asked(&self) -> Result<PatternSettings> {
+    /// The settings of the pixelated detector.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a request without patterns.
+    pub(crate) fn asked(&self) -> Result<PatternSettings> {
         self.pattern_settings().ok_or_else(|| {
             let expected = "set `patterns` of the request";
             Error::invalid(Setting::PatternPixels, "a request for images", expected)

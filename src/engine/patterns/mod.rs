@@ -83,8 +83,8 @@ pub fn pattern_rows(plan: &Plan, scan: &Scan, shard: Shard) -> Range<usize> {
     bound(shard.index())..bound(shard.index() + 1)
 }
 
-/// As [`simulate_patterns`], for some rows of the scan: the rows of one part ([`pattern_rows`]) or of several neighbouring parts. The values do not depend
-/// on the division.
+/// As [`simulate_patterns`], for some rows of the scan: the rows of one part ([`pattern_rows`]) or of several neighbouring parts. The values
+/// do not depend on the division.
 ///
 /// # Errors
 /// As [`simulate_patterns`].

@@ -9,6 +9,7 @@ use super::column_list::columns;
 use super::header::{PageBoundary, PageHeader, PageImage, PageParticle, Phases, Start};
 use super::pyramid::{Pyramid, TILE};
 use super::{Page, colormaps};
+use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::io::{WorldFile, WorldMetadata};
 use crate::lengths;
@@ -125,7 +126,7 @@ fn image(metadata: &WorldMetadata, clean: bool, exact: bool) -> PageImage {
     let dose = metadata.dose_electrons_per_angstrom2.filter(|_| metadata.noise != Some(false));
     let noisy = dose.is_some();
     let scaling = metadata.scaling.filter(|_| !clean);
-    let fraction = "fraction of the incident beam";
+    let fraction = Detector::FRACTION_OF_BEAM;
     let [scale, offset] = scaling.unwrap_or([1.0, 0.0]);
     PageImage {
         name: match (clean, noisy) {

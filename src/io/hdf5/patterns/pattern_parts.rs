@@ -48,10 +48,10 @@ impl<'a> PatternParts<'a> {
         output: &'a Path,
         progress: &'a dyn Progress,
     ) -> Result<Self> {
-        let (scan, _) = job.pattern_part(0, Shard::WHOLE)?;
-        let settings = format!("{:?}", job.pattern_settings());
+        let settings = job.asked()?;
+        let scan = job.simulated_scan()?;
         let series = series_digest(job.plans(), &job.specimen().frames(), &scan);
-        let key = format!("{series} {settings}");
+        let key = format!("{series} {settings:?}");
         let mut parts = PatternParts { job, output, key, found: Vec::new(), progress };
         parts.look()?;
         Ok(parts)
@@ -120,7 +120,7 @@ impl<'a> PatternParts<'a> {
         let store = self.store();
         let mut made = MadePart { rows: 0, stored: 0 };
         for plan in 0..self.job.plans().len() {
-            let (_, rows) = self.job.pattern_part(plan, shard)?;
+            let rows = self.job.pattern_part(plan, shard)?;
             let missing = missing(&rows, &self.found[plan]);
             made.rows += rows.len();
             made.stored += rows.len() - missing.iter().map(ExactSizeIterator::len).sum::<usize>();
@@ -154,7 +154,7 @@ impl StoredPatterns for PatternParts<'_> {
     }
 
     fn load(&self, plan: usize, rows: &Range<usize>) -> Option<Array5<f32>> {
-        let (scan, _) = self.job.pattern_part(plan, Shard::WHOLE).ok()?;
+        let scan = self.job.simulated_scan().ok()?;
         let [ny, nx] = self.job.pattern_settings()?.detector.shape();
         let records = self.job.plans()[plan].record_after.len();
         let shape = (records, rows.len(), scan.shape[1], ny, nx);

@@ -24,6 +24,7 @@ use ndarray::{Array2, Array3, Axis};
 
 use super::truth_writer::TruthWriter;
 use crate::acquisition::{Acquisition, Exposure, ScanFrame};
+use crate::detect::Detector;
 use crate::error::Result;
 use crate::files::atomic_write;
 use crate::io::hdf5::At;
@@ -142,14 +143,14 @@ fn write_images(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
     }
     let builder = file.new_dataset_builder().chunk(chunk(r.frame.shape)).shuffle().deflate(DEFLATE);
     let ideal = builder.with_data(r.ideal).create("ideal")?;
-    text(&ideal, "units", "fraction of the incident beam")?;
+    text(&ideal, "units", Detector::FRACTION_OF_BEAM)?;
     if !r.carbon_nm.is_empty() {
         let carbon = file.new_dataset_builder().with_data(r.carbon_nm).create("carbon_nm")?;
         text(&carbon, "units", "nm")?;
     }
     let Some(stages) = r.stages else { return Ok(()) };
     let group = hdf5_create::group(file, "stages")?;
-    let names = [("moved", "fraction of the incident beam"), ("electrons", "electrons")];
+    let names = [("moved", Detector::FRACTION_OF_BEAM), ("electrons", "electrons")];
     for ((name, units), data) in names.into_iter().zip(stages) {
         let [rows, columns] = chunk(r.frame.shape);
         let builder = group.new_dataset_builder().chunk([1, rows, columns]);
@@ -188,7 +189,7 @@ fn write_series(file: &File, series: &SeriesPart, [rows, columns]: [usize; 2]) -
     text(&group, "history", &series.history)?;
     let builder = group.new_dataset_builder().chunk([1, rows, columns]).shuffle().deflate(DEFLATE);
     let ideal = builder.with_data(series.ideal).create("ideal")?;
-    text(&ideal, "units", "fraction of the incident beam")?;
+    text(&ideal, "units", Detector::FRACTION_OF_BEAM)?;
     group.new_dataset_builder().with_data(series.vacancies).create("vacancies")?;
     let dose = group.new_dataset_builder().with_data(series.dose_before).create("dose_before")?;
     text(&dose, "units", "electrons per square Angstrom")?;

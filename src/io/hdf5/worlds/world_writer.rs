@@ -16,8 +16,6 @@ use crate::io::hdf5::hdf5_create::{self, number, text};
 use crate::recipe::OVERVIEW_FACTOR;
 
 const DEFLATE: u8 = 1;
-/// Unit of images of electrons.
-const FRACTIONS: &str = "fraction of the incident beam";
 
 /// Description of a world.
 #[derive(Debug, Clone, Default)]
@@ -87,7 +85,7 @@ impl WorldWriter {
             write_header(&metadata, header)?;
             let tile = [header.tile_size_px.min(shape[0]), header.tile_size_px.min(shape[1])];
             let valid = compressed::<bool>(&file, schema::VALID_REGION, shape.into(), &tile)?;
-            let (tiles, clean) = image_groups(&file, keep_clean, FRACTIONS)?;
+            let (tiles, clean) = image_groups(&file, keep_clean, Detector::FRACTION_OF_BEAM)?;
             if !header.detectors.is_empty() {
                 write_detectors(&file, &header.detectors, keep_clean)?;
             }
@@ -112,7 +110,7 @@ impl WorldWriter {
     pub(crate) fn next_detector(&mut self, number: usize, keep_clean: bool) -> Result<()> {
         let detector = self.detectors.get(number);
         let name = detector.map_or("", |d| d.name.as_str());
-        let units = detector.map_or(FRACTIONS, Detector::units);
+        let units = detector.map_or(Detector::FRACTION_OF_BEAM, Detector::units);
         let make = || -> hdf5::Result<(Group, (Group, Option<Group>))> {
             let group = self.file.group(&schema::detector_group(name))?;
             let groups = image_groups(&group, keep_clean, units)?;
