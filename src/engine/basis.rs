@@ -84,10 +84,12 @@ impl Basis {
     ) -> Vec<Complex32> {
         let (n, around) = (positions.len(), probe.around.len());
         let mut spectra = vec![Complex32::ZERO; around * n];
-        for (i, (_, position)) in positions.iter().enumerate() {
-            let [x, y] = probe.phases(probe.offset(*position)).map(singles);
-            for (e, ((iy, ix), a)) in probe.around.iter().enumerate() {
-                spectra[e * n + i] = single(*a) * x[*ix] * y[*iy];
+        for (block, positions) in positions.chunks(TOGETHER).enumerate() {
+            let [x, y] = phases_together(probe, positions);
+            for (row, ((iy, ix), a)) in spectra.chunks_exact_mut(n).zip(&probe.around) {
+                let (a, x, y) = (single(*a), &x[*ix], &y[*iy]);
+                let row = &mut row[block * TOGETHER..][..positions.len()];
+                row.iter_mut().zip(x.iter().zip(y)).for_each(|(to, (x, y))| *to = a * x * y);
             }
         }
         let mut out = vec![Complex32::ZERO; self.len() * n];
@@ -97,8 +99,22 @@ impl Basis {
     }
 }
 
-fn singles(values: Vec<Complex64>) -> Vec<Complex32> {
-    values.into_iter().map(single).collect()
+/// Number of probes whose spectra are written together: their values fill a cache line.
+const TOGETHER: usize = 8;
+
+/// Phases along x and y of at most [`TOGETHER`] probes: for each frequency, the value of each probe.
+fn phases_together(
+    probe: &CroppedProbe,
+    positions: &[(usize, [f64; 2])],
+) -> [Vec<[Complex32; TOGETHER]>; 2] {
+    let mut together = [Vec::new(), Vec::new()];
+    for (i, (_, position)) in positions.iter().enumerate() {
+        for (to, phases) in together.iter_mut().zip(probe.phases(probe.offset(*position))) {
+            to.resize(phases.len(), [Complex32::ZERO; TOGETHER]);
+            to.iter_mut().zip(phases).for_each(|(to, phase)| to[i] = single(phase));
+        }
+    }
+    together
 }
 
 /// The smallest number of leading components with which no candidate lacks more than `allowed` of its squared norm. `on` holds the

@@ -1,10 +1,11 @@
 //! Plain multislice of probes, on the full grid or in windows.
 
 mod lent_waves;
+mod patch_waves;
 
 use super::basis::Basis;
 use super::bright_detectors::{BrightDetectors, BrightWorkspace, TailThere, window_map};
-use super::coherent_tail::{SharedWaves, mean_transmissions};
+use super::coherent_tail::mean_transmissions;
 use super::plan::Plan;
 use super::probe::{CroppedProbe, Probe};
 use super::probe_patches::{Patch, ProbePatches, amplitude_nyquist};
@@ -26,6 +27,8 @@ use std::collections::hash_map::Entry;
 use std::ops::Range;
 use std::sync::Arc;
 
+use patch_waves::{Coefficients, Expansion, PatchProbes, PatchWaves};
+
 /// Propagates probes through given transmission functions.
 pub(super) struct Multislice<'a> {
     plan: &'a Plan,
@@ -39,31 +42,6 @@ pub(super) struct Multislice<'a> {
     probe_columns: Vec<Range<usize>>,
     /// The last waves of patches, with the largest distance (x, y) in Angstrom of their probes from the middle of their window.
     waves: Option<([f64; 2], Arc<PatchWaves>)>,
-}
-
-/// Waves in which the probes of a patch are expanded.
-enum PatchWaves {
-    /// Waves in the window.
-    Window(Basis),
-    /// Waves in the box around the window, for detectors that read the coherent tail.
-    Box(SharedWaves),
-}
-
-impl PatchWaves {
-    fn len(&self) -> usize {
-        match self {
-            PatchWaves::Window(basis) => basis.len(),
-            PatchWaves::Box(shared) => shared.len(),
-        }
-    }
-
-    /// Coefficients of wave `j` on the window's bins.
-    fn inside(&self, j: usize) -> &[Complex32] {
-        match self {
-            PatchWaves::Window(basis) => basis.wave(j),
-            PatchWaves::Box(shared) => &shared.inside[j],
-        }
-    }
 }
 
 /// One thread's arrays.
@@ -227,34 +205,30 @@ impl<'a> Multislice<'a> {
         if let Some((_, waves)) = self.waves.as_ref().filter(|known| known.0 == half) {
             return Some(waves.clone());
         }
-        let waves = Arc::new(match &self.bright {
-            Some(bright) => PatchWaves::Box(bright.tail.shared(bright.padded(), half, error)),
+        let waves = Arc::new(PatchWaves::new(match &self.bright {
+            Some(bright) => Expansion::Box(bright.tail.shared(bright.padded(), half, error)),
             None => {
                 let nyquist = amplitude_nyquist(self.plan);
-                PatchWaves::Window(Basis::new(&probes, half, nyquist, error))
+                Expansion::Window(Basis::new(&probes, half, nyquist, error))
             }
-        });
+        }));
         self.waves = Some((half, waves.clone()));
         Some(waves)
     }
 
-    /// The coefficients of probes on the waves of their patch, (wave, probe) row-major, for each focus with its weight.
-    fn coefficients(
-        &self,
-        waves: &PatchWaves,
-        probes: &[(usize, [f64; 2])],
-    ) -> Vec<(f64, Vec<Complex32>)> {
-        match (waves, &self.bright) {
-            (PatchWaves::Box(shared), Some(bright)) => bright.tail.coefficients(shared, probes),
-            (PatchWaves::Window(basis), _) => {
+    /// The coefficients of probes on the waves of their patch.
+    fn coefficients(&self, waves: &PatchWaves, probes: &PatchProbes) -> Arc<Coefficients> {
+        waves.coefficients(probes, self.probes.len(), |expansion| match (expansion, &self.bright) {
+            (Expansion::Box(shared), Some(bright)) => bright.tail.coefficients(shared, probes),
+            (Expansion::Window(basis), _) => {
                 let at_foci = self
                     .probes
                     .iter()
                     .filter_map(|(weight, probe)| Some((*weight, probe.cropped()?)));
                 at_foci.map(|(weight, probe)| (weight, basis.coefficients(probe, probes))).collect()
             }
-            (PatchWaves::Box(_), None) => Vec::new(),
-        }
+            (Expansion::Box(_), None) => Vec::new(),
+        })
     }
 
     /// The tail at each recorded thickness on the path of a group, for detectors that read it.
@@ -338,16 +312,16 @@ impl<'a> Multislice<'a> {
                 copy.copy_from_slice(wave);
                 self.stepper.transform_columns(copy, false, &mut step.fft);
                 self.map.gather(copy, |d, psi| amplitudes[d].extend_from_slice(psi));
-                if let (Some(bright), Some(w), PatchWaves::Box(shared)) =
-                    (&self.bright, &mut *w, patch_waves)
+                if let (Some(bright), Some(w), Some(outside)) =
+                    (&self.bright, &mut *w, patch_waves.outside(j))
                 {
-                    let tail = (shared.outside[j].as_slice(), &there[r]);
+                    let tail = (outside, &there[r]);
                     bright.gather(copy, tail, w, |d, psi| amplitudes[d].extend_from_slice(psi));
                 }
             }
             for (d, amplitudes) in amplitudes.iter().enumerate() {
                 let matrix = detected(amplitudes, patch_waves.len());
-                for (weight, coefficients) in &coefficients {
+                for (weight, coefficients) in &*coefficients {
                     let sums = intensities(&matrix, coefficients, probes, weight * scale);
                     for (probe, intensity) in sums.into_iter().enumerate() {
                         values[probe * per_probe + r * detectors + d] += intensity;

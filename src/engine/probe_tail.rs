@@ -16,6 +16,7 @@ use crate::constants::interaction_parameter;
 use crate::detect::Detector;
 use crate::error::Result;
 use crate::fft::{Buffer, Fft2, Scratch, frequency, good_size};
+use crate::made_once::KeptWithin;
 use crate::plane;
 use crate::potential::cores::cross_section;
 use crate::potential::scattering::ScatteringFactor;
@@ -39,12 +40,17 @@ pub(super) struct ProbeTail<'a> {
     cell: TailGrid,
     /// The box in which probes are made: the cell, repeated.
     around: TailGrid,
+    /// Transforms of the intensities of tails at half of each recorded thickness, by the probe's distance from the middle of its window
+    /// and the number of the thickness. All library images of a family have the same.
+    kept: KeptWithin<([u64; 2], usize), Buffer>,
 }
 
 /// Largest pixel of the grid of tails in Angstrom: their intensity holds no detail below 0.3 A.
 const PIXEL_ANGSTROM: f64 = 0.15;
 /// Probes share one tail if their positions in their windows differ by less than this distance along an axis, in Angstrom.
 const ALIKE_ANGSTROM: f64 = 1.2;
+/// Intensities of tails are kept up to this many bytes.
+const ROOM_BYTES: usize = 64 << 20;
 
 impl<'a> ProbeTail<'a> {
     /// Prepares the tails; `None` if no part of the probes lies outside, or the correction is off.
@@ -59,7 +65,7 @@ impl<'a> ProbeTail<'a> {
         let (cell, around) = (TailGrid::new(grid), TailGrid::new(repeated(plan, &grid)));
         let lens = |(weight, plan): (f64, Plan)| (weight, aperture(&plan, &around.grid));
         let foci = plan.at_foci().into_iter().map(lens).collect();
-        Some(ProbeTail { plan, foci, cell, around })
+        Some(ProbeTail { plan, foci, cell, around, kept: KeptWithin::new(ROOM_BYTES) })
     }
 
     /// The intensities that the tails add, as fractions of the beam: (probe, recorded thickness, detector), row-major.
@@ -75,15 +81,17 @@ impl<'a> ProbeTail<'a> {
         let seen = detectors.iter().enumerate().filter(|(_, d)| applies(d, plan));
         let atoms = seen.map(|(d, detector)| Ok((d, self.atoms(sites, detector)?)));
         let atoms: Vec<(usize, Vec<Buffer>)> = atoms.collect::<Result<_>>()?;
+        let bytes = size_of::<Complex32>() * self.cell.fft.stride() * self.cell.fft.shape().0;
         let values = alike.par_iter().map(|(offset, probes)| {
             let mut scratch = (self.cell.fft.scratch(), self.around.fft.scratch());
-            let foci = self.foci.iter();
-            let outside: Vec<(f64, Buffer)> = foci
-                .map(|(weight, lens)| (*weight, self.outside(lens, *offset, &mut scratch.1)))
-                .collect();
+            let mut outside = None;
             let mut values = Vec::new();
             for (r, thickness) in thicknesses.iter().enumerate() {
-                let tail = self.intensity(&outside, 0.5 * thickness, &mut scratch);
+                let tail = self.kept.get((offset.map(f64::to_bits), r), bytes, || {
+                    let outside =
+                        outside.get_or_insert_with(|| self.at_foci(*offset, &mut scratch.1));
+                    self.intensity(outside, 0.5 * thickness, &mut scratch)
+                });
                 for (d, atoms) in &atoms {
                     let map = self.cell.correlate(&tail, &atoms[r], &mut scratch.0);
                     let at = |i: usize| (i * thicknesses.len() + r) * detectors.len() + d;
@@ -96,6 +104,12 @@ impl<'a> ProbeTail<'a> {
         let values: Vec<Vec<(usize, f64)>> = values.collect();
         values.into_iter().flatten().for_each(|(at, value)| out[at] = value);
         Ok(out)
+    }
+
+    /// The tail's Fourier coefficients at the entrance, for each focus with its weight.
+    fn at_foci(&self, offset: [f64; 2], scratch: &mut Scratch) -> Vec<(f64, Buffer)> {
+        let at = |(weight, lens): &(f64, Lens)| (*weight, self.outside(lens, offset, scratch));
+        self.foci.iter().map(at).collect()
     }
 
     /// Transforms of the cross sections of all atoms up to each recorded thickness.
