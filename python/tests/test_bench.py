@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import check_env
 import stemworlds as sw
 from stemworlds import bench
 
-RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4}}
+RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4, "boundaries.count": 0}}
 
 
 def same(a: Any, b: Any) -> bool:

@@ -20,7 +20,7 @@ pytest.importorskip("sklearn")
 pytest.importorskip("skimage")
 
 __all__ = ["few_tiles"]
-RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4}}
+RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4, "boundaries.count": 0}}
 
 
 def seen_of(tiles: list[bench.Acquired], grid: tuple[int, int] = (5, 6), **more: Any) -> bench.Seen:

@@ -29,7 +29,7 @@ stats = pytest.importorskip("scipy.stats")
 processes = pytest.importorskip("sklearn.gaussian_process")
 kernels = pytest.importorskip("sklearn.gaussian_process.kernels")
 
-RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4}}
+RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4, "boundaries.count": 0}}
 OPTIONS: dict[str, Any] = {"split": "test", "overview": False, "budget": 600.0, **RECIPE}
 
 

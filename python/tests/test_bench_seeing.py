@@ -30,7 +30,7 @@ __all__ = ["few_tiles"]
 metrics = pytest.importorskip("sklearn.metrics")
 stats = pytest.importorskip("scipy.stats")
 
-RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4}}
+RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4, "boundaries.count": 0}}
 
 def test_average_precision_is_that_of_scikit_learn() -> None:
     for seed in range(20):

@@ -23,7 +23,7 @@ def test_the_readme_shows_the_python_way(tmp_path: Path, monkeypatch: pytest.Mon
     [snippet] = [text for text in snippets(ROOT / "README.md") if "stemworlds" in text]
     assert 'sw.build("srtio3", difficulty="easy", grid=(1, 1)' in snippet
     # A stand-in for the world, in seconds.
-    snippet = snippet.replace('"srtio3", difficulty="easy"', '"test", set={"field.thickness_nm": 0.4}').replace(", phonons=4", ", phonons=1")
+    snippet = snippet.replace('"srtio3", difficulty="easy"', '"test", set={"field.thickness_nm": 0.4, "boundaries.count": 0}').replace(", phonons=4", ", phonons=1")
     names: dict[str, object] = {}
     exec(compile(snippet, "README.md", "exec"), names)
     assert (tmp_path / "worlds/mine.h5").exists()

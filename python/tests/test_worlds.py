@@ -159,7 +159,7 @@ def test_detectors_have_names(tmp_path: Path, world_path: Path) -> None:
     angles = {"HAADF": (50.0, 90.0), "ABF": (11.0, 21.0)}
     tables = [{"name": name, "inner_mrad": low, "outer_mrad": high} for name, (low, high) in angles.items()]
     path = tmp_path / "two.h5"
-    options: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "detector": tables}, "grid": (1, 1), "seed": 5}
+    options: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "boundaries.count": 0, "detector": tables}, "grid": (1, 1), "seed": 5}
     with sw.build("test", out=path, keep_clean=True, audit=0, **options) as world:
         assert list(world.detectors.items()) == list(angles.items())
         with h5py.File(path) as file:
@@ -281,7 +281,7 @@ def test_parts_make_the_same_world(tmp_path: Path) -> None:
 
 def test_a_library_travels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEMGEN_CACHE", str(tmp_path / "cache"))
-    mosaic: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "phonons.configurations": 1}, "engine": "mosaic", "window_angstrom": 5.0}
+    mosaic: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "phonons.configurations": 1, "boundaries.count": 0}, "engine": "mosaic", "window_angstrom": 5.0}
     sw.build("test", out=tmp_path / "w.h5", grid=(1, 1), audit=0, **mosaic).close()
     (held,) = sw.cache.list()
     file = tmp_path / "test.stemlib"

@@ -94,6 +94,7 @@ fn atoms_in_one_place() {
 }
 
 #[test]
+#[ignore = "long"]
 fn a_million_atoms_are_read_wherever_they_are() {
     let place = |i: usize, scale: f64| {
         let [x, y, z] = [i % 100, i / 100 % 100, i / 10_000].map(|n| n as f64 * scale);
@@ -125,6 +126,7 @@ fn flat_cells_and_absurd_counts() {
 }
 
 #[test]
+#[ignore = "long"]
 fn cif_of_many_words() {
     let cell = "data_x\n_cell_length_a 9\n_cell_length_b 9\n_cell_length_c 9\n_cell_angle_alpha 90\n\
                 _cell_angle_beta 90\n_cell_angle_gamma 90\n";

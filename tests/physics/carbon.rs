@@ -188,6 +188,7 @@ fn shifted(atoms: &[[f64; 3]], by: [f64; 2]) -> Vec<[f64; 3]> {
 }
 
 #[test]
+#[ignore = "long"]
 fn no_repetition_shows_in_the_autocorrelation() {
     let edge = 4.0 * CELL;
     let found = repetition(&positions(&FILM, [[0.0, edge]; 2]), edge);

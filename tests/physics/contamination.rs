@@ -201,6 +201,7 @@ fn live(cache: &std::path::Path) -> LiveWorld {
 
 /// The rectangle that every microscopist knows: brighter where one has looked longest.
 #[test]
+#[ignore = "long"]
 fn a_live_world_keeps_its_carbon() {
     let cache = tempfile::tempdir().unwrap();
     let mut world = live(cache.path());

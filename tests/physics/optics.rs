@@ -54,6 +54,7 @@ fn tilted(settings: &Settings, mistilt_mrad: [f64; 2]) -> Settings {
 /// Seen along the beam, the planes of a tilted specimen lie beside each other: the same as an upright specimen whose planes are
 /// moved by `-z tan(tilt)`. Potentials on the grid differ a little, nothing else does.
 #[test]
+#[ignore = "long"]
 fn a_tilted_crystal_is_one_with_planes_moved_sideways() {
     let upright = crystal([3, 3, 12]);
     let tilt = [8.0, -5.0];

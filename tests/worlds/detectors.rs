@@ -144,6 +144,7 @@ fn a_file_holds_each_detector_with_scaling_and_noise_of_its_own() {
 
 /// Sectors of a world: their sum is the image of the annulus, a mosaic makes them as windows do, and the file has their azimuths.
 #[test]
+#[ignore = "long"]
 fn sectors_add_to_their_annulus_and_carry_their_azimuths() {
     let folder = tempfile::tempdir().unwrap();
     let sectors = THREE.replace(

@@ -59,6 +59,7 @@ fn audited(recipe: &Recipe, at_nm: [f64; 2]) -> Audit {
 
 /// Against multislice on the full grid, on a particle and its edge, with one configuration.
 #[test]
+#[ignore = "long"]
 fn a_particle_on_a_film_is_the_exact_image_of_its_atoms() {
     let recipe = recipe(1.0, 1);
     let specimen = specimen(&recipe).unwrap();

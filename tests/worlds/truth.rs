@@ -162,6 +162,7 @@ fn strontium_titanate() {
 }
 
 #[test]
+#[ignore = "long"]
 fn barium_titanate() {
     let folder = tempfile::tempdir().unwrap();
     let table =
