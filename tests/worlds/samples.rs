@@ -13,7 +13,7 @@ use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
 use stemgen::specimen::{Specimen, specimen};
 use stemgen::world::{SampleOptions, training_sample};
 
-/// SrTiO3 as thin and with a detector as narrow as to take seconds, with a grain boundary.
+/// SrTiO3 as thin and with a detector as narrow as to take seconds.
 const RECIPE: &str = r#"
     version = 1
     id = "thin"
@@ -23,7 +23,6 @@ const RECIPE: &str = r#"
     crystal = "srtio3"
     seed = 3
     field = { fov_nm = [6.2, 6.2], grid = [3, 3], tile_px = 106, overlap_px = 4, thickness_nm = 0.8 }
-    boundaries = { count = 1, misorientation_deg = 36.87, sigma = 5, min_distance_angstrom = { Sr-Sr = 2.2 } }
     vacancies = { element = "O", rate = 0.1, cluster_fraction = 0.0, cluster_sigma_nm = 1.0, max_probability = 0.3 }
     phonons = { configurations = 2, sigma_angstrom = { Sr = 0.084, Ti = 0.060, O = 0.085 } }
     optics = { energy_kv = 200.0, convergence_mrad = 21.0 }

@@ -142,6 +142,7 @@ fn field_dose(recipe: &Recipe) -> f64 {
 }
 
 #[test]
+#[ignore = "long"]
 fn a_tile_of_a_mosaic_is_that_of_its_world() {
     let method = BuildMethod::Mosaic;
     let options = BuildOptions {

@@ -227,6 +227,7 @@ fn silicon_germanium() {
 }
 
 #[test]
+#[ignore = "long"]
 fn gallium_nitride() {
     let folder = tempfile::tempdir().unwrap();
     // Rate, wells, their width, and the shares of indium outside and inside.
