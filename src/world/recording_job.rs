@@ -247,9 +247,8 @@ impl RecordingJob {
         progress: &dyn Progress,
     ) -> Result<(FieldRecording, RecordedFrom)> {
         let RecordingJob { recipe, specimen, part, options, detectors, .. } = self;
-        let specimen_seen = &**specimen;
         let recorded = |source: &dyn NoiseFree| {
-            let specimen = specimen_seen;
+            let specimen = self.specimen();
             let field = RecordedField { recipe, specimen, source, detectors, carbon: None };
             field.record_clean(part, options, progress)
         };

@@ -132,13 +132,17 @@ fn a_recorded_centre_of_mass_is_that_of_the_image() {
         let [mean, _] = shown.angles(parts);
         let rms = |image: Array2<f32>| image.mapv(|v| v * v).mean().unwrap().sqrt();
         let (signal, off) = (rms(mean.clone()), rms(&one.ideal - &mean));
-        println!("{}: {signal:.3} mrad rms, off by {off:.5}; first pixel at {x} {y}", one.detector);
-        assert!(signal > 0.2 && off < 5e-3 * signal, "{signal} {off}");
+        println!(
+            "{}: {signal:.3} mrad rms, off by {off:.5}; first pixel at {x} {y}",
+            one.detector.name
+        );
+        // The recorded image is interpolated from the probes of a larger rectangle.
+        assert!(signal > 0.2 && off < 0.02 * signal, "{signal} {off}");
         let noise = &one.data.index_axis(ndarray::Axis(0), 0) - &one.ideal.mapv(f64::from);
         // One electron of an evenly lit disk has the variance of 21^2 / 4; 256 pixels measure it to 9 %.
         let electrons = 2.0 * all.exposure.electrons_per_pixel;
         let variance = (&noise * &noise).mean().unwrap() * electrons / (21.0 * 21.0 / 4.0);
-        println!("{}: variance {variance:.3} of a lit disk", one.detector);
+        println!("{}: variance {variance:.3} of a lit disk", one.detector.name);
         assert!((0.6..1.5).contains(&variance), "{variance}");
         assert!(one.data.iter().any(|v| *v < 0.0) && one.clipped == 0);
     }

@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use hdf5::types::VarLenUnicode;
-use hdf5::{File, Group, H5Type};
+use hdf5::{Dataset, File, Group, H5Type};
 use ndarray::{Array2, Array3, Axis};
 
 use super::schema;
@@ -213,18 +213,20 @@ fn write_values<T: H5Type + Clone>(
 fn write_ideal_of_series(
     series: &Group,
     (r, own): (&RecordingFile, &RecordedImages),
-) -> hdf5::Result<()> {
-    let Some(data) = own.series else { return Ok(()) };
+) -> hdf5::Result<Option<Dataset>> {
+    let Some(data) = own.series else { return Ok(None) };
     let [rows, columns] = chunk(r.frame.shape);
     let builder = series.new_dataset_builder().chunk([1, rows, columns]).shuffle().deflate(DEFLATE);
     let ideal = builder.with_data(data).create("ideal")?;
-    text(&ideal, "units", own.detector.units())
+    text(&ideal, "units", own.detector.units())?;
+    Ok(Some(ideal))
 }
 
 fn write_series(file: &File, (r, series): (&RecordingFile, &SeriesPart)) -> hdf5::Result<()> {
     let group = hdf5_create::group(file, "series")?;
     text(&group, "history", &series.history)?;
-    write_ideal_of_series(&group, (r, &r.first))?;
+    // The library places what follows behind a dataset that is open, so it stays open.
+    let _ideal = write_ideal_of_series(&group, (r, &r.first))?;
     group.new_dataset_builder().with_data(series.vacancies).create("vacancies")?;
     let dose = group.new_dataset_builder().with_data(series.dose_before).create("dose_before")?;
     text(&dose, "units", "electrons per square Angstrom")?;
