@@ -114,6 +114,14 @@ pub(crate) fn open_unit(word: u32) -> f64 {
     (f64::from(word) + 0.5) / 4_294_967_296.0
 }
 
+/// A field, and a recording of all its frames, has fewer pixels than 2 to this power.
+const PIXEL_BITS: u32 = 48;
+
+/// Number of the random numbers of a pixel on a detector. Detector 0 has the number of the pixel.
+pub(crate) fn item_of_detector(pixel: u64, detector: u16) -> u64 {
+    pixel | u64::from(detector) << PIXEL_BITS
+}
+
 /// A generator for the `rand` ecosystem, private to one item: its stream depends on
 /// (seed, purpose, index) only.
 #[derive(Debug, Clone)]

@@ -10,7 +10,8 @@ use ndarray::Axis;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use stemgen::acquisition::{Acquisition, Profile, clipping_warning};
+use stemgen::acquisition::{Acquisition, Profile};
+use stemgen::detect::Detector;
 use stemgen::files::OutputSet;
 use stemgen::files::outputs::check_outputs;
 use stemgen::progress::Progress;
@@ -107,6 +108,10 @@ pub struct Acquire {
     #[arg(long, value_name = "N", default_value_t = 1, help_heading = "Recording")]
     #[arg(allow_hyphen_values = true)]
     scan_seed: u64,
+    /// Detector of the recipe or the world that records, by the name of its table or its image. May be given several times [default:
+    /// all detectors]
+    #[arg(long, value_name = "NAME", help_heading = "Recording")]
+    detector: Vec<String>,
     /// Also store the stages of the recording: the noise-free image at the real places of the beam, and the electrons on the
     /// detector
     #[arg(long, help_heading = "Results")]
@@ -116,7 +121,7 @@ pub struct Acquire {
     /// File to write
     #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
     output: PathBuf,
-    /// Also write a picture (PNG), beside the file
+    /// Also write a picture (PNG) of each detector, beside the file
     #[arg(long, help_heading = "Results")]
     png: bool,
     /// Replace existing files
@@ -143,9 +148,18 @@ struct AcquireSummary {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     carbon_nm: Vec<f64>,
     clipped_pixels: u64,
+    detectors: Vec<DetectorSummary>,
     source: &'static str,
     acquisition: Acquisition,
     wall_time_s: f64,
+}
+
+/// One of the detectors of a recording.
+#[derive(Serialize)]
+struct DetectorSummary {
+    name: String,
+    units: &'static str,
+    clipped_pixels: u64,
 }
 
 /// The plan of a recording.
@@ -168,27 +182,29 @@ impl Acquire {
             bail!("--output {}: did you mean {}?", self.output.display(), name.display());
         }
         let (recipe, made) = self.recipe.resolve_or_world_with("acquisition")?;
-        let picture = self.png.then(|| self.output.with_extension("png"));
-        let outputs = std::iter::once(&self.output).chain(&picture);
+        let request = self.request();
+        let pictures = self.pictures(request.detectors_of(&recipe)?);
+        let outputs = std::iter::once(&self.output).chain(&pictures);
         let command_line = text::command_line();
         let mut set = OutputSet::of(&self.output, &command_line, self.overwrite);
         set.warning().iter().for_each(|warning| reporter.warn(warning));
         if !self.common.dry_run {
             check_outputs(outputs, self.recipe.inputs(&recipe), set.replaces())?;
         }
-        let job = RecordingJob::new(&recipe, (self.recipe.world(), made), &self.request())?;
+        let job = RecordingJob::new(&recipe, (self.recipe.world(), made), &request)?;
         if self.common.dry_run {
             return self.dry_run(&job);
         }
         let (recording, from) = job.run(self.kept.cache(), &reporter)?;
         let (recipe, specimen) = (job.recipe(), job.specimen());
-        if picture.is_some() {
+        if !pictures.is_empty() {
             set.begin()?;
         }
         recording.write(&self.output, set.replaces(), recipe, specimen, &command_line)?;
-        if let Some(path) = &picture {
-            let image = recording.data.index_axis(Axis(0), 0).mapv(|v| v as f32);
-            image_pictures::write(path, image.view(), [10.0 * recording.frame.pixel_nm; 2], true)?;
+        let step = [10.0 * recording.frame.pixel_nm; 2];
+        for (path, (_, data)) in pictures.iter().zip(recording.images()) {
+            let image = data.index_axis(Axis(0), 0).mapv(|v| v as f32);
+            image_pictures::write(path, image.view(), step, true)?;
         }
         set.finish()?;
         self.warn_of_clipping(&recording);
@@ -198,6 +214,17 @@ impl Acquire {
         };
         let summary = self.summary(&recording, source, begun);
         self.common.print(&summary, &summary.text())
+    }
+
+    /// Returns the pictures to write: that of the first detector has the name of the file.
+    fn pictures(&self, detectors: Vec<Detector>) -> Vec<PathBuf> {
+        let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
+        let name = |(n, detector): (usize, Detector)| match n {
+            0 => self.output.with_extension("png"),
+            _ => self.output.with_file_name(format!("{stem}_{}.png", detector.name)),
+        };
+        let all = detectors.into_iter().enumerate().map(name);
+        if self.png { all.collect() } else { Vec::new() }
     }
 
     /// Prints the plan of the recording.
@@ -235,6 +262,7 @@ impl Acquire {
             keep_frames: self.keep_frames,
             keep_stages: self.stages,
             seed: self.scan_seed,
+            detectors: (!self.detector.is_empty()).then(|| self.detector.clone()),
         }
     }
 
@@ -242,10 +270,7 @@ impl Acquire {
         if self.common.quiet {
             return;
         }
-        let [rows, columns] = recording.frame.shape;
-        let pixels = rows * columns * recording.exposure.frames;
-        let bits = recording.options.acquisition.bits;
-        if let Some(warning) = clipping_warning(recording.clipped, pixels, bits) {
+        for warning in recording.clipping_warnings() {
             text::complain(&format!("warning: {warning}"));
         }
     }
@@ -260,6 +285,9 @@ impl Acquire {
         let [_, x, y] = recording.drift.last().copied().unwrap_or_default();
         let lines = recording.drift.len() as f64;
         let acquisition = options.acquisition;
+        let others = recording.others.iter().map(|one| (&one.detector, one.clipped));
+        let detectors = std::iter::once((&recording.detector, recording.clipped)).chain(others);
+        let detectors = detectors.map(DetectorSummary::of);
         AcquireSummary {
             file_bytes: output::size(&self.output),
             output: self.output.clone(),
@@ -275,10 +303,18 @@ impl Acquire {
             columns: recording.columns.len(),
             carbon_nm: recording.carbon_nm.clone(),
             clipped_pixels: recording.clipped,
+            detectors: detectors.collect(),
             source,
             acquisition,
             wall_time_s: begun.elapsed().as_secs_f64(),
         }
+    }
+}
+
+impl DetectorSummary {
+    fn of((detector, clipped_pixels): (&Detector, u64)) -> Self {
+        let units = if detector.is_deflection() { "mrad" } else { "counts" };
+        DetectorSummary { name: detector.name.clone(), units, clipped_pixels }
     }
 }
 
@@ -292,6 +328,10 @@ impl AcquireSummary {
         lines.add("recording", pixels);
         let [x, y] = self.origin_nm;
         lines.add("first pixel", format!("{x:.3}, {y:.3} nm"));
+        if self.detectors.len() > 1 {
+            let names: Vec<&str> = self.detectors.iter().map(|d| d.name.as_str()).collect();
+            lines.add("detectors", names.join(", "));
+        }
         lines.add("image", self.source);
         let numbers =
             [self.dose_electrons_per_angstrom2, self.beam_current_pa, self.electrons_per_pixel];

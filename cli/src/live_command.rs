@@ -13,7 +13,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
-use stemgen::acquisition::{Acquisition, Profile, clipping_warning};
+use stemgen::acquisition::{Acquisition, Profile};
 use stemgen::files::OutputSet;
 use stemgen::files::atomic_write;
 use stemgen::files::outputs::check_outputs;
@@ -74,6 +74,10 @@ pub struct Live {
     /// of the recipe, or ideal]
     #[arg(long, value_name = "NAME", help_heading = "Recording")]
     profile: Option<AcquisitionName>,
+    /// Detector of the recipe that records, by the name of its table or its image. May be given several times [default: all
+    /// detectors]
+    #[arg(long, value_name = "NAME", help_heading = "Recording")]
+    detector: Vec<String>,
     /// Largest dose that any place may receive, in electrons per square Angstrom. A larger value needs more simulations before the
     /// first recording [default: 1.2 times the dose of the whole series]
     #[arg(long, value_name = "D", value_parser = values::positive, help_heading = "Recording")]
@@ -83,7 +87,7 @@ pub struct Live {
     /// File to write
     #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
     output: PathBuf,
-    /// Also write an animation (animated PNG), beside the file
+    /// Also write an animation (animated PNG) of the first detector, beside the file
     #[arg(long, help_heading = "Results")]
     animation: bool,
     /// Time that the animation shows each recording, in s
@@ -110,6 +114,7 @@ struct LiveSummary {
     beam_current_pa: f64,
     lost: BTreeMap<String, u64>,
     columns: usize,
+    detectors: Vec<String>,
     history: Vec<LiveAcquisition>,
     wall_time_s: f64,
 }
@@ -161,11 +166,7 @@ impl Live {
             );
         }
         let series = world.dose_series(&request, self.dose_series, &reporter)?;
-        let pixels = series.data.len() * request.acquisition.frames;
-        let bits = request.acquisition.bits;
-        if let Some(warning) = clipping_warning(series.clipped, pixels, bits) {
-            reporter.warn(&warning);
-        }
+        series.clipping_warnings().iter().for_each(|warning| reporter.warn(warning));
         if animation.is_some() {
             set.begin()?;
         }
@@ -241,7 +242,8 @@ impl Live {
         }
         let cache = self.kept.cache();
         let imaging = BuildOptions { cache, ..BuildOptions::default() };
-        Ok(LiveOptions { imaging, most_dose, ..LiveOptions::default() })
+        let detectors = (!self.detector.is_empty()).then(|| self.detector.clone());
+        Ok(LiveOptions { imaging, most_dose, detectors, ..LiveOptions::default() })
     }
 
     /// Draws the recordings as an animated PNG, with one contrast for all and the dose before each.
@@ -287,6 +289,7 @@ impl Live {
             beam_current_pa: series.first.exposure.current_pa(),
             lost,
             columns: series.first.columns.len(),
+            detectors: series.first.images().map(|(detector, _)| detector.name.clone()).collect(),
             history: series.history,
             wall_time_s: begun.elapsed().as_secs_f64(),
         }
@@ -299,6 +302,9 @@ impl LiveSummary {
         let [rows, columns] = self.shape;
         let pixels = format!("{rows} x {columns} pixels of {:.5} nm", self.pixel_nm);
         lines.add("recordings", format!("{} of {pixels}", self.recordings));
+        if self.detectors.len() > 1 {
+            lines.add("detectors", self.detectors.join(", "));
+        }
         let numbers = [
             self.dose_electrons_per_angstrom2,
             self.total_dose_electrons_per_angstrom2,

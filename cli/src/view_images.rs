@@ -23,12 +23,14 @@ pub fn picture(
     choice: &ViewedImage<'_>,
     view: &WorldPicture,
 ) -> anyhow::Result<(RgbImage, String)> {
-    let name = match (view.clean, choice.name, images.kind) {
-        (true, None, ImageKind::Recording) => "ideal",
+    let own = ["recording", "ideal"];
+    let (name, image) = match (view.clean, choice.name, images.kind) {
+        (true, None, ImageKind::Recording) => ("ideal", images.image("ideal", choice.index)?),
+        (true, Some(name), ImageKind::Recording) if !own.contains(&name) => {
+            (name, images.ideal(name)?)
+        }
         (true, ..) => {
-            let fault = anyhow!(
-                "--clean: is for worlds and recordings, and excludes --detector for a recording"
-            );
+            let fault = anyhow!("--clean: is for worlds and for detectors of recordings");
             return Err(hinted(
                 fault,
                 format!(
@@ -37,10 +39,9 @@ pub fn picture(
                 ),
             ));
         }
-        (false, Some(name), _) => name,
-        (false, None, _) => &images.names[0],
+        (false, Some(name), _) => (name, images.image(name, choice.index)?),
+        (false, None, _) => (&images.names[0][..], images.image(&images.names[0], choice.index)?),
     };
-    let image = images.image(name, choice.index)?;
     let (rows, columns) = image.values.dim();
     let size = [columns, rows].map(|n| n as f64);
     let [width, height] = [0, 1].map(|k| 0.1 * size[k] * image.step_angstrom[k]);

@@ -5,7 +5,7 @@ use crate::errors::{Fault, OrRaise};
 use crate::long_call::{Running, run};
 use crate::pattern_cubes::{dicts, record_patterns};
 use crate::recipes::checked;
-use crate::recordings::{as_dict, tell_columns, warn_of_clipping};
+use crate::recordings::{as_dict, tell_columns};
 use crate::request::Parsed;
 use ndarray::Array1;
 use numpy::IntoPyArray;
@@ -13,8 +13,10 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use stemgen::Setting;
+use stemgen::detect::Detector;
 use stemgen::imaging::PixelRect;
 use stemgen::live::{LiveOptions, LiveRequest, LiveSnapshot, LiveWorld};
+use stemgen::progress::Progress;
 use stemgen::recipe::{CheckedRecipe, Region};
 use stemgen::simulation::PatternsRequest;
 use stemgen::specimen::SiteKind;
@@ -27,6 +29,7 @@ pub struct Living {
     toml: String,
     most_dose: f64,
     cache: CacheChoice,
+    detectors: Option<Vec<String>>,
 }
 
 /// A live world. Its calls run one after the other.
@@ -114,8 +117,8 @@ impl LiveField {
         let world = run(py, running, move |call| {
             let recipe = checked(&options.toml)?;
             let imaging = BuildOptions { cache: options.cache.cache(), ..BuildOptions::default() };
-            let live =
-                LiveOptions { imaging, most_dose: options.most_dose, ..LiveOptions::default() };
+            let Living { most_dose, detectors, .. } = options;
+            let live = LiveOptions { imaging, most_dose, detectors, ..LiveOptions::default() };
             Ok(LiveWorld::new(&recipe, recipe.seed, &live, call)?)
         })?;
         Ok(LiveField { world: Arc::new(Mutex::new(world)) })
@@ -124,15 +127,22 @@ impl LiveField {
     /// Returns the noise-free image and the truth of a region, in a dict.
     fn look(&self, py: Python<'_>, region: [f64; 4], running: Running) -> PyResult<Py<PyDict>> {
         let world = Arc::clone(&self.world);
-        let tile = run(py, running, move |_| {
+        let (tile, detectors) = run(py, running, move |_| {
             let world = locked(&world);
-            Ok(world.look(&pixels(world.recipe(), region)?)?)
+            let detectors: Vec<Detector> = world.detectors().cloned().collect();
+            Ok((world.look(&pixels(world.recipe(), region)?)?, detectors))
         })?;
         let out = PyDict::new(py);
         truth(py, &tile.sites, &tile.columns, &out)?;
         out.set_item("pixel_nm", tile.pixel_nm)?;
         out.set_item("origin_nm", tile.origin_nm)?;
-        out.set_item("clean", tile.clean.into_pyarray(py))?;
+        let images = std::iter::once(tile.clean);
+        let images = images.chain(tile.others.into_iter().map(|(_, image)| image));
+        let mut all = Vec::new();
+        for (detector, image) in detectors.iter().zip(images) {
+            all.push((&detector.name, detector.units(), image.into_pyarray(py)));
+        }
+        out.set_item("images", all)?;
         Ok(out.unbind())
     }
 
@@ -148,7 +158,7 @@ impl LiveField {
             let mut world = locked(&world);
             let request = live_request(&asked.0, &world)?;
             let recording = world.acquire(&request, call)?;
-            warn_of_clipping(&recording, call);
+            recording.clipping_warnings().iter().for_each(|warning| call.warn(warning));
             Ok(recording)
         })?;
         as_dict(py, recording)

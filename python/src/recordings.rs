@@ -5,15 +5,17 @@ use crate::checks::Field;
 use crate::errors::Fault;
 use crate::long_call::{LongCall, Running, run};
 use crate::request::Parsed;
-use ndarray::Array2;
+use ndarray::{Array2, Array3};
 use numpy::IntoPyArray;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
-use stemgen::acquisition::clipping_warning;
+use stemgen::detect::Detector;
 use stemgen::files::outputs::check_outputs;
 use stemgen::progress::Progress;
-use stemgen::world::{ColumnTruth, FieldRecording, RecordingJob, RecordingRequest};
+use stemgen::world::{
+    ColumnTruth, FieldRecording, RecordingJob, RecordingRequest, RecordingStages,
+};
 
 /// The options of a recording.
 #[derive(FromPyObject)]
@@ -37,18 +39,8 @@ impl Recording {
             let (recipe, specimen) = (job.recipe(), job.specimen());
             recording.write(out, self.overwrite, recipe, specimen, "stemworlds.acquire")?;
         }
-        warn_of_clipping(&recording, call);
+        recording.clipping_warnings().iter().for_each(|warning| call.warn(warning));
         Ok(recording)
-    }
-}
-
-/// Warns of pixels that the converter clipped.
-pub fn warn_of_clipping(recording: &FieldRecording, progress: &dyn Progress) {
-    let [rows, columns] = recording.frame.shape;
-    let pixels = rows * columns * recording.exposure.frames;
-    let bits = recording.options.acquisition.bits;
-    if let Some(warning) = clipping_warning(recording.clipped, pixels, bits) {
-        progress.warn(&warning);
     }
 }
 
@@ -85,13 +77,35 @@ pub fn as_dict(py: Python<'_>, recording: FieldRecording) -> PyResult<Py<PyDict>
     out.set_item("dose", recording.exposure.dose())?;
     out.set_item("current_pa", recording.exposure.current_pa())?;
     out.set_item("electrons_per_pixel", recording.exposure.electrons_per_pixel)?;
-    out.set_item("clipped", recording.clipped)?;
-    if let Some(stages) = recording.stages {
+    let first = (recording.data, recording.ideal, recording.stages, recording.clipped);
+    let mut images = vec![detector_dict(py, &recording.detector, first)?];
+    for one in recording.others {
+        let values = (one.data, one.ideal, one.stages, one.clipped);
+        images.push(detector_dict(py, &one.detector, values)?);
+    }
+    out.set_item("detectors", images)?;
+    out.set_item("position_in_image", recording.position_in_image.into_pyarray(py))?;
+    Ok(out.unbind())
+}
+
+/// Recorded values, noise-free image, stages and clipped pixels of a detector.
+type Recorded = (Array3<f64>, Array2<f32>, Option<RecordingStages>, u64);
+
+/// Converts the images of a detector to a dict.
+fn detector_dict<'py>(
+    py: Python<'py>,
+    detector: &Detector,
+    (data, ideal, stages, clipped): Recorded,
+) -> PyResult<Bound<'py, PyDict>> {
+    let out = PyDict::new(py);
+    out.set_item("name", &detector.name)?;
+    out.set_item("mrad", detector.is_deflection())?;
+    out.set_item("data", data.into_pyarray(py))?;
+    out.set_item("ideal", ideal.into_pyarray(py))?;
+    out.set_item("clipped", clipped)?;
+    if let Some(stages) = stages {
         out.set_item("moved", stages.moved.into_pyarray(py))?;
         out.set_item("electrons", stages.electrons.into_pyarray(py))?;
     }
-    out.set_item("position_in_image", recording.position_in_image.into_pyarray(py))?;
-    out.set_item("ideal", recording.ideal.into_pyarray(py))?;
-    out.set_item("data", recording.data.into_pyarray(py))?;
-    Ok(out.unbind())
+    Ok(out)
 }

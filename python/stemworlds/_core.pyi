@@ -163,6 +163,7 @@ class RecordingRequest(TypedDict, total=False):
     keep_frames: bool
     keep_stages: bool
     seed: int
+    detectors: list[str]
 
 class RecordingOptions(TypedDict):
     field: FieldOptions
@@ -213,6 +214,7 @@ class LiveOptions(TypedDict):
     toml: str
     most_dose: float
     cache: bool | str
+    detectors: list[str] | None
 
 class SampleOptions(TypedDict):
     toml: str

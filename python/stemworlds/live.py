@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from ._running import Progress, call, running
 from .images import Image
 from .patterns import DataCube, _cubes, _detector
 from .recipes import Acquisition, Difficulty, Recipe, RecipeLike
-from .recording import Recording, _recording, recording_request
+from .recording import Recording, _recording, detector_names, recording_request
 from .worlds import COLUMN_DTYPE, SITE_DTYPE, StructuredArray
 
 #: Left, upper, right and lower edge in nm.
@@ -29,14 +29,16 @@ class LiveView:
     """The noise-free image and the truth of a region. Places are in nm in the field.
 
     Attributes:
-        image: the noise-free image, in fractions of the beam.
+        image: the noise-free image on the first detector, in fractions of the beam.
         columns: columns in the region, :data:`COLUMN_DTYPE`.
         sites: sites of these columns, :data:`SITE_DTYPE`.
+        images: the images on all detectors by name, the first one first; a centre of mass is in mrad.
     """
 
     image: Image
     columns: StructuredArray
     sites: StructuredArray
+    images: Mapping[str, Image]
 
 
 class LiveWorld:
@@ -54,6 +56,7 @@ class LiveWorld:
     Args:
         recipe: name, path, TOML, dict or :class:`Recipe`. ``**changes`` are ``difficulty``, ``set``, ``unset``, ``grid``, ``seed``.
         most_dose: greatest total dose of a place, over all recordings, in electrons per square Angstrom.
+        detectors: names of the detectors of its images and recordings, as in :func:`stemworlds.acquire`; by default all of the recipe.
 
     Raises:
         InvalidValue: for an invalid recipe, or a dose out of limits.
@@ -65,6 +68,7 @@ class LiveWorld:
         difficulty: Difficulty | None = None,
         *,
         most_dose: float = 1e6,
+        detectors: Sequence[str] | None = None,
         cache: bool | str | os.PathLike[str] = True,
         threads: int | None = None,
         progress: Progress = False,
@@ -73,7 +77,7 @@ class LiveWorld:
         self._threads = threads
         toml = Recipe(recipe, difficulty, **changes).toml
         kept = cache if isinstance(cache, bool) else os.fspath(cache)
-        options: _core.LiveOptions = {"toml": toml, "most_dose": most_dose, "cache": kept}
+        options: _core.LiveOptions = {"toml": toml, "most_dose": most_dose, "cache": kept, "detectors": detector_names(detectors)}
         self._field = call(_core.LiveField, options, running(threads, progress))
         self._used = Used("this live world", "make another LiveWorld in the child (restore takes it to a snapshot)")
 
@@ -83,11 +87,12 @@ class LiveWorld:
         return Recipe(self._used.by(self._field.recipe)())
 
     def look(self, region_nm: Region) -> LiveView:
-        """Returns the noise-free image and the truth of a region (left, upper, right and lower edge). It does not change the specimen."""
+        """Returns the noise-free images and the truth of a region (left, upper, right and lower edge). It does not change the specimen."""
         found = self._used.by(call)(self._field.look, region_nm, running(self._threads, False))
         pixel, (x, y) = found["pixel_nm"], found["origin_nm"]
-        image = Image("live", found["clean"], (pixel, pixel), (y, x))
-        return LiveView(image, _columns(found), _sites(found))
+        made = {name: Image(name, array, (pixel, pixel), (y, x), units) for name, units, array in found["images"]}
+        image = replace(next(iter(made.values())), name="live")
+        return LiveView(image, _columns(found), _sites(found), made)
 
     def acquire(
         self,
@@ -104,7 +109,8 @@ class LiveWorld:
         keep_frames: bool = False,
         progress: Progress = False,
     ) -> Recording:
-        """Records a place, see :func:`stemworlds.acquire`. At the end of the recording, its electrons change the specimen.
+        """Records a place on all detectors of the world, see :func:`stemworlds.acquire`. At the end of the recording, its electrons change the
+        specimen, once for all detectors.
 
         Raises:
             InvalidValue: if the beam would leave the field, or the dose would exceed ``most_dose``. The world is then unchanged.

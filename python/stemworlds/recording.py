@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -24,11 +24,14 @@ class Recording:
     """A recording, and the truth about it.
 
     Attributes:
-        array: the values of a microscope's file, float64 ``[y, x]``, or ``[frame, y, x]`` with ``keep_frames``.
-        ideal: the noise-free image at the intended pixels, in fractions of the beam.
+        array: the values of a microscope's file, float64 ``[y, x]``, or ``[frame, y, x]`` with ``keep_frames``; the mean angle of the counted
+            electrons in mrad for a centre of mass.
+        ideal: the noise-free image at the intended pixels, in fractions of the beam, or in mrad for a centre of mass.
         columns: atomic columns; ``x_nm``, ``y_nm`` from the centre of the first pixel, ``x_px``, ``y_px`` their places in the recording.
         position_in_image: places of the columns in the recording, ``[frame, column, (x, y)]`` in pixels, or the mean of all frames.
         drift: time in s and drift ``(x, y)`` in nm of each line of each frame.
+        detector: name of the detector, the first one of the recording.
+        others: recordings of the same electrons on the other detectors, by name. They share path, dose and truth.
         moved, electrons: intermediate images between noise-free image and recording, ``[frame, y, x]``; ``None`` without ``stages``.
     """
 
@@ -45,12 +48,24 @@ class Recording:
     clipped_pixels: int
     moved: npt.NDArray[np.float32] | None
     electrons: npt.NDArray[np.float32] | None
+    detector: str = "HAADF"
+    others: Mapping[str, Recording] = field(default_factory=dict)
+
+    @property
+    def detectors(self) -> Mapping[str, Recording]:
+        """The recordings on all detectors by name, this one first."""
+        return {self.detector: self, **self.others}
 
     @property
     def image(self) -> Image:
-        """The recording as an image (the sum of all frames), in counts."""
-        array = self.array if self.array.ndim == 2 else self.array.sum(axis=0)
-        return Image("recording", array.astype(np.float32), (self.pixel_nm,) * 2, self.ideal.origin_nm, units="counts")
+        """The recording as an image: the sum of all frames in counts, or the mean of all frames of a centre of mass in mrad."""
+        name = "recording" if self.ideal.name == "ideal" else self.detector
+        angles = self.ideal.units == "mrad"
+        array = self.array
+        if array.ndim == 3:
+            array = array.mean(axis=0) if angles else array.sum(axis=0)
+        units = "mrad" if angles else "counts"
+        return Image(name, array.astype(np.float32), (self.pixel_nm,) * 2, self.ideal.origin_nm, units=units)
 
     def plot(self, ax: Any = None, **options: Any) -> Any:
         """Draws the recording with matplotlib."""
@@ -76,6 +91,7 @@ def acquire(
     keep_frames: bool = False,
     stages: bool = False,
     scan_seed: int = 1,
+    detectors: Sequence[str] | None = None,
     cache: bool | str | os.PathLike[str] = True,
     out: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
@@ -100,6 +116,8 @@ def acquire(
         keep_frames: return the single frames instead of their sum.
         stages: return the intermediate images as well.
         scan_seed: seed of electrons, noise, jitter and random drift.
+        detectors: names of the detectors of the recipe or the world that record (names of tables ``[[detector]]``, of sectors, or of axes of a
+            centre of mass); by default all. They record the same electrons on the same path, each with noise of its own.
         out: file (HDF5) that is written as well.
         **recipe: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed`` of a recipe.
     """
@@ -118,6 +136,7 @@ def acquire(
         keep_frames=keep_frames,
         keep_stages=stages,
         seed=scan_seed,
+        detectors=detector_names(detectors),
     )
     options: _core.RecordingOptions = {
         "field": field_options(field, recipe, acquisition),
@@ -129,6 +148,13 @@ def acquire(
     return _recording(call(_core.record_field, options, running(threads, progress)), keep_frames)
 
 
+def detector_names(names: Sequence[str] | None) -> list[str] | None:
+    """Returns the names of detectors as a list."""
+    if isinstance(names, str) or not (names is None or all(isinstance(name, str) for name in names)):
+        raise _invalid("detectors", f"detectors = {names!r}: expected names, such as ('HAADF', 'ABF')")
+    return None if names is None else list(names)
+
+
 def recording_request(**given: Any) -> _core.RecordingRequest:
     """Returns the given options as a request of the library, which contains the defaults."""
     return cast("_core.RecordingRequest", {key: value for key, value in given.items() if value is not None})
@@ -138,10 +164,21 @@ def _recording(found: Mapping[str, Any], keep_frames: bool) -> Recording:
     pixel = found["pixel_nm"]
     x, y = found["origin_nm"]
     places = found["position_in_image"]
-    data = found["data"]
-    return Recording(
-        array=data if keep_frames else data[0],
-        ideal=Image("ideal", found["ideal"], (pixel, pixel), (y, x)),
+    first, *others = found["detectors"]
+
+    def on(one: Mapping[str, Any], name: str) -> dict[str, Any]:
+        units = "mrad" if one["mrad"] else "fraction of the incident beam"
+        return {
+            "array": one["data"] if keep_frames else one["data"][0],
+            "ideal": Image(name, one["ideal"], (pixel, pixel), (y, x), units),
+            "clipped_pixels": one["clipped"],
+            "moved": one.get("moved"),
+            "electrons": one.get("electrons"),
+            "detector": one["name"],
+        }
+
+    recording = Recording(
+        **on(first, "ideal"),
         columns=_columns(found, places.mean(axis=0)),
         position_in_image=places if keep_frames else places[0],
         drift=found["drift"],
@@ -150,10 +187,8 @@ def _recording(found: Mapping[str, Any], keep_frames: bool) -> Recording:
         dose=found["dose"],
         current_pa=found["current_pa"],
         electrons_per_pixel=found["electrons_per_pixel"],
-        clipped_pixels=found["clipped"],
-        moved=found.get("moved"),
-        electrons=found.get("electrons"),
     )
+    return replace(recording, others={one["name"]: replace(recording, **on(one, f"{one['name']}_ideal")) for one in others})
 
 
 def _columns(found: Mapping[str, Any], places: npt.NDArray[np.float64]) -> Table:

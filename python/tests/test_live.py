@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
+import h5py
 import numpy as np
 import pytest
-from conftest import DYING
+from conftest import DYING, ROOT
 
 import stemworlds as sw
 
@@ -103,3 +107,33 @@ def test_what_is_wrong_is_said(library: str) -> None:
         live.restore(world(library, seed=4).snapshot())
     with pytest.raises(sw.InvalidValue, match="leave the field"):
         live.acquire(at_nm=(99, 1), dose=1)
+
+
+def test_detectors_record_the_same_electrons(tmp_path: Path) -> None:
+    tables = [
+        {"name": "HAADF", "inner_mrad": 50.0, "outer_mrad": 90.0},
+        {"name": "ADF", "inner_mrad": 45.0, "outer_mrad": 70.0, "acquisition": {"gain_counts": 3.0}},
+    ]
+    tiny = sw.Recipe(ROOT / "tests/cli/tiny.toml", set={"detector": tables, "damage.radiolysis_barn.O": 60})
+    place: dict[str, Any] = {"region_nm": (0.5, 0.5, 0.9, 0.9), "dose": 4e5}
+    both = sw.acquire(tiny, **place, out=tmp_path / "both.h5", cache=False)
+    assert list(both.detectors) == ["HAADF", "ADF"] and both.detectors["HAADF"] is both
+    adf = both.others["ADF"]
+    assert adf.image.name == "ADF" and adf.image.units == "counts" and adf.position_in_image is both.position_in_image
+    assert (adf.array % 3 == 0).all() and not (both.array % 3 == 0).all()
+    with h5py.File(tmp_path / "both.h5") as file:
+        assert np.array_equal(file["recording"][()], both.array) and np.array_equal(file["detectors/ADF/recording"][()], adf.array)
+    alone = sw.acquire(tiny, **place, detectors=["HAADF"], cache=False)
+    assert alone.others == {} and np.array_equal(alone.array, both.array)
+    with pytest.raises(sw.InvalidValue, match="the recipe has HAADF, ADF"):
+        sw.acquire(tiny, detectors=["BF"])
+
+
+
+def test_a_live_world_has_the_chosen_detectors(library: str) -> None:
+    # Images of several detectors need another library; that of the main one is shared with the other tests.
+    tables = [{"name": "HAADF", "inner_mrad": 50.0, "outer_mrad": 90.0}, {"name": "ADF", "inner_mrad": 45.0, "outer_mrad": 70.0}]
+    live = sw.LiveWorld("test", grid=(1, 1), set={**DYING, "detector": tables}, seed=3, most_dose=5e5, cache=library, detectors=["HAADF"])
+    before = live.look(PLACE)
+    assert list(before.images) == ["HAADF"] and np.array_equal(before.image.array, before.images["HAADF"].array)
+    assert list(live.acquire(region_nm=PLACE, dose=1e4).detectors) == ["HAADF"]

@@ -4,7 +4,7 @@ use rand_distr::{Distribution, Gamma, Poisson};
 
 use super::acquisition_settings::Acquisition;
 use super::exposure::{ELECTRONS_PER_PA_US, Exposure};
-use crate::rng::{ItemRng, Purpose, normal3};
+use crate::rng::{ItemRng, Purpose, item_of_detector, normal3};
 
 /// Converts the electrons of a pixel to the number in the file, in these steps:
 ///
@@ -17,6 +17,8 @@ use crate::rng::{ItemRng, Purpose, normal3};
 /// 4. A detector that saturates at the current s converts the current x to `x / (1 + x / s)`.
 /// 5. Gain, dark counts and Gaussian read-out noise are applied.
 /// 6. A converter rounds and clips.
+///
+/// A camera that measures the mean angle of the electrons counts single electrons: it has the first step only.
 #[derive(Debug, Clone)]
 pub struct DetectorChain {
     settings: Acquisition,
@@ -27,7 +29,12 @@ pub struct DetectorChain {
     pulse_shape: Option<f64>,
     late: LateLight,
     seed: u64,
+    /// Number of the detector. Each detector draws its own random numbers.
+    detector: u16,
 }
+
+/// Number of the draws of mean angles; read-out noise has 0.
+const DEFLECTIONS: u32 = 1;
 
 /// Late light of a scintillator, passed from pixel to pixel.
 #[derive(Debug, Clone, Copy)]
@@ -75,13 +82,27 @@ impl DetectorChain {
             pulse_shape: (settings.dqe < 1.0).then_some(settings.dqe / (1.0 - settings.dqe)),
             late: LateLight::new(settings),
             seed,
+            detector: 0,
         }
+    }
+
+    /// The chain of another detector that records at the same time; 0 is the main one.
+    #[must_use]
+    pub(crate) fn of_detector(self, detector: u16) -> Self {
+        DetectorChain { detector, ..self }
+    }
+
+    /// Number of the random numbers of a pixel.
+    fn item(&self, pixel: u64) -> u64 {
+        item_of_detector(pixel, self.detector)
     }
 
     /// Draws the electrons that hit the detector in a pixel with this fraction of the beam.
     pub(crate) fn electrons(&self, fraction: f64, pixel: u64) -> f64 {
         match Poisson::new(fraction * self.electrons_per_pixel) {
-            Ok(poisson) => poisson.sample(&mut ItemRng::new(self.seed, Purpose::Electrons, pixel)),
+            Ok(poisson) => {
+                poisson.sample(&mut ItemRng::new(self.seed, Purpose::Electrons, self.item(pixel)))
+            }
             // The mean is not positive, so there are no electrons.
             Err(_) => 0.0,
         }
@@ -91,7 +112,9 @@ impl DetectorChain {
     pub(crate) fn light(&self, electrons: f64, pixel: u64) -> f64 {
         let Some(shape) = self.pulse_shape else { return electrons };
         match Gamma::new(electrons * shape, 1.0 / shape) {
-            Ok(gamma) => gamma.sample(&mut ItemRng::new(self.seed, Purpose::PulseHeight, pixel)),
+            Ok(gamma) => {
+                gamma.sample(&mut ItemRng::new(self.seed, Purpose::PulseHeight, self.item(pixel)))
+            }
             // There are no electrons.
             Err(_) => 0.0,
         }
@@ -112,13 +135,29 @@ impl DetectorChain {
         *stored *= after_flyback;
     }
 
+    /// Draws the mean angle along an axis (0: x, 1: y) of counted electrons, of which one has this mean and standard deviation. No
+    /// electrons have the angle 0.
+    pub(crate) fn mean_angle(
+        &self,
+        [mean, deviation]: [f64; 2],
+        electrons: f64,
+        axis: usize,
+        pixel: u64,
+    ) -> f64 {
+        if electrons < 1.0 {
+            return 0.0;
+        }
+        let normal = normal3(self.seed, Purpose::ReadNoise, DEFLECTIONS, self.item(pixel))[axis];
+        mean + deviation * normal / electrons.sqrt()
+    }
+
     /// Converts light to the number in the file.
     pub(crate) fn counted(&self, light: f64, pixel: u64) -> Counted {
         let Acquisition { gain_counts, dark_counts, read_noise_counts, .. } = self.settings;
         let seen = self.saturation.map_or(light, |most| light / (1.0 + light / most));
         let noise = match read_noise_counts {
             0.0 => 0.0,
-            sigma => sigma * normal3(self.seed, Purpose::ReadNoise, 0, pixel)[0],
+            sigma => sigma * normal3(self.seed, Purpose::ReadNoise, 0, self.item(pixel))[0],
         };
         let value = dark_counts + gain_counts * seen + noise;
         match self.settings.full_scale() {

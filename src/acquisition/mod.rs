@@ -2,6 +2,7 @@
 
 mod acquisition_settings;
 mod detector_chain;
+mod detector_values;
 mod exposure;
 mod profiles;
 mod recorder;
@@ -10,6 +11,7 @@ mod source_image;
 
 pub use acquisition_settings::{Acquisition, AcquisitionTable};
 pub use detector_chain::DetectorChain;
+pub use detector_values::DetectorValues;
 pub use exposure::Exposure;
 pub use profiles::Profile;
 pub use recorder::{RecordedRows, Recorder, clipping_warning};

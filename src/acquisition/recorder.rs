@@ -1,6 +1,7 @@
 //! Records the lines of an image.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use ndarray::Array2;
 use rayon::prelude::*;
@@ -14,16 +15,20 @@ use super::source_image::SourceImage;
 /// Records an image line by line.
 #[derive(Debug, Clone)]
 pub struct Recorder {
-    path: ScanPath,
+    path: Arc<ScanPath>,
     chain: DetectorChain,
     exposure: Exposure,
+    seed: u64,
 }
+
+/// Mean and standard deviation of the angle of one electron, from the values of three images.
+pub(crate) type AngleOf<'a> = &'a (dyn Fn([f64; 3]) -> [f64; 2] + Sync);
 
 /// Rows of one frame; arrays are [row, column].
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RecordedRows {
-    /// The noise-free image at the real positions of the beam, as fraction of the beam.
+    /// The noise-free image at the real positions of the beam, as fraction of the beam; the mean angle of a centre of mass.
     pub moved: Array2<f32>,
     /// Electrons that hit the detector.
     pub electrons: Array2<f32>,
@@ -48,7 +53,14 @@ impl Recorder {
     /// A recorder of scans along `path`.
     pub fn new(settings: &Acquisition, path: ScanPath, exposure: Exposure, seed: u64) -> Self {
         let chain = DetectorChain::new(settings, &exposure, seed);
-        Recorder { path, chain, exposure }
+        Recorder { path: Arc::new(path), chain, exposure, seed }
+    }
+
+    /// A recorder of another detector of the same scan, with settings of its own. Its random numbers do not depend on the other detectors.
+    #[must_use]
+    pub(crate) fn of_detector(&self, settings: &Acquisition, detector: u16) -> Self {
+        let chain = DetectorChain::new(settings, &self.exposure, self.seed).of_detector(detector);
+        Recorder { path: Arc::clone(&self.path), chain, exposure: self.exposure, seed: self.seed }
     }
 
     /// The path of the beam.
@@ -74,7 +86,7 @@ impl Recorder {
         let shape = (rows.len(), width);
         let (mut moved, mut electrons) = (Array2::zeros(shape), Array2::zeros(shape));
         let mut light = Array2::<f64>::zeros(shape);
-        let pixel = |row: usize, column: usize| ((frame * height + row) * width + column) as u64;
+        let pixel = |row, column| number([frame, row, column], [height, width]);
         let lines = moved.outer_iter_mut().zip(electrons.outer_iter_mut());
         let lines: Vec<_> = lines.zip(light.outer_iter_mut()).enumerate().collect();
         lines.into_par_iter().for_each(|(k, ((mut moved, mut electrons), mut light))| {
@@ -104,4 +116,40 @@ impl Recorder {
         let clipped = clipped.sum();
         RecordedRows { moved, electrons, values, clipped }
     }
+
+    /// Records the mean angle of the electrons along an axis (0: x, 1: y) in some rows of a frame. The first image holds the electrons;
+    /// `angle` takes the values of all three.
+    pub(crate) fn mean_angles(
+        &self,
+        frame: usize,
+        rows: Range<usize>,
+        images: [&SourceImage; 3],
+        (axis, angle): (usize, AngleOf),
+    ) -> RecordedRows {
+        let shape = self.path.frame().shape;
+        let size = (rows.len(), shape[1]);
+        let mut arrays = [(); 3].map(|()| Array2::<f32>::zeros(size));
+        let [moved, electrons, values] = &mut arrays;
+        let lines = moved.outer_iter_mut().zip(electrons.outer_iter_mut());
+        let lines: Vec<_> = lines.zip(values.outer_iter_mut()).enumerate().collect();
+        lines.into_par_iter().for_each(|(k, ((mut moved, mut electrons), mut values))| {
+            let row = rows.start + k;
+            for column in 0..shape[1] {
+                let place = self.path.place_nm(frame, row, column);
+                let shown = images.map(|image| image.at(place));
+                let pixel = number([frame, row, column], shape);
+                let (one, counted) = (angle(shown), self.chain.electrons(shown[0], pixel));
+                moved[column] = one[0] as f32;
+                electrons[column] = counted as f32;
+                values[column] = self.chain.mean_angle(one, counted, axis, pixel) as f32;
+            }
+        });
+        let [moved, electrons, values] = arrays;
+        RecordedRows { moved, electrons, values, clipped: 0 }
+    }
+}
+
+/// Number of a pixel of all frames, each of which has these rows and columns.
+fn number([frame, row, column]: [usize; 3], [rows, columns]: [usize; 2]) -> u64 {
+    ((frame * rows + row) * columns + column) as u64
 }

@@ -40,7 +40,10 @@ impl ChangingWorld {
         let still = source.shared_world(seed)?;
         let imaging = source.options().clone();
         let most_dose = settings.most_dose(still.facts());
-        let live = LiveOptions { imaging, most_dose, ..LiveOptions::default() };
+        // Agents see the main detector.
+        let main = source.recipe().detector.all().into_iter().take(1).map(|d| d.name).collect();
+        let detectors = Some(main);
+        let live = LiveOptions { imaging, most_dose, detectors, ..LiveOptions::default() };
         let live = Mutex::new(LiveWorld::new(source.recipe(), seed, &live, progress)?);
         let facts = FieldFacts { margin_px: MARGIN, ..still.facts().clone() };
         Ok(ChangingWorld { facts, still, live })

@@ -4,7 +4,7 @@
 //! made at the end: `<k> = R (2 S / E - 1)` with the electrons E, the share `S = sum (1 + k / R) / 2` and a reach R that no angle on the
 //! detector exceeds. The squares `Q = sum (k / R)^2` give the scatter of one electron, `R^2 Q / E - <k>^2`, and so the noise of a dose.
 
-use ndarray::{Array, ArrayView, Dimension, Zip};
+use ndarray::{Array, Array2, ArrayView, Dimension, Zip};
 use serde::{Deserialize, Serialize};
 
 use super::Detector;
@@ -150,6 +150,17 @@ impl ShownImage {
         self.axis.map(|k| [self.number, self.number + 1 + k, self.number + 3 + k])
     }
 
+    /// The image that users see, from the images that are measured.
+    pub(crate) fn image_of(&self, measured: &[Array2<f32>]) -> Array2<f32> {
+        match self.parts() {
+            None => measured[self.number].clone(),
+            Some(parts) => {
+                let [mean, _] = self.angles(parts.map(|number| measured[number].view()));
+                mean
+            }
+        }
+    }
+
     fn reach_mrad(&self) -> f64 {
         REACH * self.detector.outer_mrad
     }
@@ -165,6 +176,11 @@ impl ShownImage {
         }
     }
 
+    /// The mean angle and the standard deviation of one electron in mrad, from electrons, share and square of a pixel.
+    pub(crate) fn angle_of(&self, parts: [f64; 3]) -> [f64; 2] {
+        [self.mean_mrad(parts[0], parts[1]), self.deviation_mrad(parts)]
+    }
+
     /// The images of the mean angle and of the standard deviation of one electron, in mrad, from the images of electrons, share and square.
     pub fn angles<A: Copy + Into<f64>, D: Dimension>(
         &self,
@@ -174,9 +190,8 @@ impl ShownImage {
         let [mut mean, mut deviation] = [(); 2].map(|()| Array::zeros(electrons.raw_dim()));
         Zip::from(&mut mean).and(&mut deviation).and(electrons).and(share).and(square).for_each(
             |mean, deviation, &e, &s, &q| {
-                let [e, s, q] = [e, s, q].map(Into::into);
-                *mean = self.mean_mrad(e, s) as f32;
-                *deviation = self.deviation_mrad([e, s, q]) as f32;
+                [*mean, *deviation] =
+                    self.angle_of([e.into(), s.into(), q.into()]).map(|v| v as f32);
             },
         );
         [mean, deviation]

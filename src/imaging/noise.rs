@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::recipe::Recipe;
-use crate::rng::{ItemRng, Purpose, normal3};
+use crate::rng::{ItemRng, Purpose, item_of_detector, normal3};
 
 /// Draws the counted electrons of each pixel.
 #[derive(Debug, Clone, Copy)]
@@ -23,8 +23,6 @@ pub(crate) struct Noise {
     pub detector: u16,
 }
 
-/// A field has fewer pixels than 2 to this power.
-const PIXEL_BITS: u32 = 48;
 /// Number of the draws of mean angles; electrons have 0.
 const DEFLECTIONS: u32 = 1;
 
@@ -137,7 +135,7 @@ impl Noise {
 
     /// Number of the random numbers of a pixel.
     fn item(&self, pixel: u64) -> u64 {
-        pixel | u64::from(self.detector) << PIXEL_BITS
+        item_of_detector(pixel, self.detector)
     }
 
     fn draw(&self, expected: f64, pixel: u64) -> f64 {

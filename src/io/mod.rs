@@ -23,7 +23,7 @@ pub use foreign::{
 // `self`, because a crate is called `hdf5` too.
 #[cfg(feature = "hdf5")]
 pub(crate) use self::hdf5::worlds::{
-    recording_file::{RecordingFile, SeriesPart, write_recording},
+    recording_file::{RecordedImages, RecordingFile, SeriesPart, write_recording},
     truth_writer::{LineKind, TruthBatch, TruthWriter},
     world_writer::{Header, WorldWriter},
 };

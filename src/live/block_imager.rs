@@ -31,6 +31,8 @@ pub struct BlockImager {
     inner: Box<dyn RegionImager>,
     recipe: CheckedRecipe,
     specimen: Arc<DamagedSpecimen>,
+    /// The detectors whose images are made.
+    detectors: DetectorChoice,
     /// Largest number of cached blocks.
     most: usize,
     reach_nm: f64,
@@ -48,7 +50,8 @@ struct ImagedBlocks {
 }
 
 struct Block {
-    image: Array2<f32>,
+    /// The images of the measured detectors.
+    images: Arc<Vec<Array2<f32>>>,
     /// Digest of the atoms that the block shows.
     contents: u64,
     /// Number of exposed regions that the image takes into account.
@@ -67,11 +70,13 @@ impl BlockImager {
         let pixel_nm = recipe.field.pixel_nm();
         let blurred = |source| margin_px(source, recipe.field.pixel_angstrom());
         let margin_px = recipe.optics.source().map(blurred).transpose()?.unwrap_or(0);
+        let images = inner.facts().detectors;
         Ok(BlockImager {
+            detectors: if images > 1 { DetectorChoice::All } else { DetectorChoice::Main },
             inner,
             recipe: recipe.clone(),
             specimen: Arc::clone(specimen),
-            most: (bytes / (4 * BLOCK_PX * BLOCK_PX)).max(16),
+            most: (bytes / (4 * BLOCK_PX * BLOCK_PX * images)).max(16),
             reach_nm: REACH_NM + margin_px as f64 * pixel_nm,
             margin_px,
             kept: Mutex::default(),
@@ -132,8 +137,8 @@ impl BlockImager {
         hasher.finish()
     }
 
-    /// The image of a block: from the cache if it is still valid, else made now.
-    fn block(&self, block: [usize; 2], progress: &dyn Progress) -> Result<Array2<f32>> {
+    /// The images of a block: from the cache if they are still valid, else made now.
+    fn block(&self, block: [usize; 2], progress: &dyn Progress) -> Result<Arc<Vec<Array2<f32>>>> {
         let pixels = self.rect(block);
         let shown = self.inner.blocks().map(|own| own.shown_area(&self.with_margin(&pixels)));
         let area = shown.unwrap_or_else(|| self.around(&pixels));
@@ -153,21 +158,22 @@ impl BlockImager {
             };
             if let Some(known) = kept.blocks.get_mut(&block).filter(holds) {
                 (known.seen, known.used) = (exposures, now);
-                return Ok(known.image.clone());
+                return Ok(Arc::clone(&known.images));
             }
         }
         drop(kept);
         let all = self.recipe.phonons.configurations.max(1);
-        let image = self.inner.mean_of(&pixels, all, progress)?.mapv(|v| v as f32);
+        let images = self.inner.images_of(&pixels, self.detectors, all, progress)?;
+        let images = Arc::new(images.iter().map(|image| image.mapv(|v| v as f32)).collect());
         // The digest is not needed for a specimen that no dose changes, nor for an imager with cached blocks.
         let contents = match contents {
             Some(contents) => contents,
             None if shown.is_some() || self.specimen.is_lasting() => 0,
             None => self.contents(&pixels),
         };
-        let made = Block { image: image.clone(), contents, seen: exposures, used: now };
+        let made = Block { images: Arc::clone(&images), contents, seen: exposures, used: now };
         self.keep(block, made);
-        Ok(image)
+        Ok(images)
     }
 
     /// Puts a block into the cache. A full cache first drops the eighth of its blocks that was not used for the longest time.
@@ -185,7 +191,7 @@ impl BlockImager {
 
 impl RegionImager for BlockImager {
     fn facts(&self) -> ImagerFacts {
-        ImagerFacts { detectors: 1, ..self.inner.facts() }
+        self.inner.facts()
     }
 
     fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
@@ -199,33 +205,39 @@ impl RegionImager for BlockImager {
     fn images_of(
         &self,
         pixels: &PixelRect,
-        _: DetectorChoice,
+        detectors: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Vec<Array2<f64>>> {
         if configurations != self.recipe.phonons.configurations.max(1) {
-            return Ok(vec![self.inner.mean_of(pixels, configurations, progress)?]);
+            return self.inner.images_of(pixels, detectors, configurations, progress);
         }
         let PixelRect { first, shape, .. } = *pixels;
-        let mut image = Array2::zeros(shape);
+        let count = match detectors {
+            DetectorChoice::Main => 1,
+            DetectorChoice::All => self.facts().detectors,
+        };
+        let mut images = vec![Array2::zeros(shape); count];
         let blocks = |k: usize| first[k] / BLOCK_PX..(first[k] + shape[k]).div_ceil(BLOCK_PX);
         for row in blocks(0) {
             for column in blocks(1) {
-                let part = self.block([row, column], progress)?;
+                let parts = self.block([row, column], progress)?;
                 let start = [row, column].map(|b| b * BLOCK_PX);
                 let low = plane::max(start, first);
-                let high =
-                    plane::min(plane::add(start, part.dim().into()), plane::add(first, shape));
+                let end = plane::add(start, parts[0].dim().into());
+                let high = plane::min(end, plane::add(first, shape));
                 let own = |from: [usize; 2]| {
                     let range = |k: usize| low[k] - from[k]..high[k] - from[k];
                     [range(0), range(1)]
                 };
                 let ([to_rows, to_columns], [rows, columns]) = (own(first), own(start));
-                let from = part.slice(s![rows, columns]).mapv(f64::from);
-                image.slice_mut(s![to_rows, to_columns]).assign(&from);
+                for (image, part) in images.iter_mut().zip(&*parts) {
+                    let from = part.slice(s![rows.clone(), columns.clone()]).mapv(f64::from);
+                    image.slice_mut(s![to_rows.clone(), to_columns.clone()]).assign(&from);
+                }
             }
         }
-        Ok(vec![pixels.sampled(image)])
+        Ok(images.into_iter().map(|image| pixels.sampled(image)).collect())
     }
 
     fn images_at(

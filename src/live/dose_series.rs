@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::recipe::Region;
 use crate::setting::Setting;
-use crate::world::{FieldRecording, RecordedPart};
+use crate::world::{DetectorRecording, FieldRecording, RecordedPart};
 
 /// Largest number of recordings in a series.
 const MOST_RECORDINGS: usize = 100_000;
@@ -24,14 +24,40 @@ pub struct DoseSeries {
     pub data: Array3<f64>,
     /// The noise-free image at the intended pixels at the start of each recording: (recording, row, column), as fraction of the beam.
     pub ideal: Array3<f32>,
+    /// The same on the other detectors, in the order of the recipe.
+    pub others: Vec<DetectorSeries>,
     /// Vacant sites of each column of the first recording at the start of each recording: (recording, column).
     pub vacancies: Array2<i32>,
     /// Mean dose of the place in electrons per square Angstrom before each recording.
     pub dose_before: Vec<f64>,
-    /// Number of pixels that the converter clipped, in all recordings.
+    /// Number of pixels that the converter of the first detector clipped, in all recordings.
     pub clipped: u64,
     /// The recordings, with the atoms that each removed.
     pub history: Vec<LiveAcquisition>,
+}
+
+/// Recordings on another detector than the first. Arrays are as in [`DoseSeries`].
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct DetectorSeries {
+    /// Recorded values.
+    pub data: Array3<f64>,
+    /// The noise-free image at the start of each recording.
+    pub ideal: Array3<f32>,
+    /// Number of pixels that the converter clipped, in all recordings.
+    pub clipped: u64,
+}
+
+impl DetectorSeries {
+    fn zeros(shape: (usize, usize, usize)) -> Self {
+        DetectorSeries { data: Array3::zeros(shape), ideal: Array3::zeros(shape), clipped: 0 }
+    }
+
+    fn set(&mut self, number: usize, one: &DetectorRecording) {
+        self.data.index_axis_mut(Axis(0), number).assign(&one.data.index_axis(Axis(0), 0));
+        self.ideal.index_axis_mut(Axis(0), number).assign(&one.ideal);
+        self.clipped += one.clipped;
+    }
 }
 
 /// Checks that a series may have this number of recordings.
@@ -80,15 +106,26 @@ impl LiveWorld {
 }
 
 impl DoseSeries {
+    /// Warnings of pixels that the converters clipped.
+    pub fn clipping_warnings(&self) -> Vec<String> {
+        let mut all = self.first.clone();
+        all.exposure.frames *= self.data.len_of(Axis(0));
+        all.clipped = self.clipped;
+        all.others.iter_mut().zip(&self.others).for_each(|(to, own)| to.clipped = own.clipped);
+        all.clipping_warnings()
+    }
+
     /// Allocates arrays for `count` recordings like the first.
     fn of(first: &FieldRecording, count: usize) -> Result<Self> {
         let [rows, columns] = first.frame.shape;
-        let bytes = (count * (rows * columns * 12 + first.columns.len() * 4)) as u64;
+        let detectors = 1 + first.others.len();
+        let bytes = (count * (rows * columns * 12 * detectors + first.columns.len() * 4)) as u64;
         check_memory(bytes, "record fewer times, or a smaller part")?;
         Ok(DoseSeries {
             first: first.clone(),
             data: Array3::zeros((count, rows, columns)),
             ideal: Array3::zeros((count, rows, columns)),
+            others: vec![DetectorSeries::zeros((count, rows, columns)); first.others.len()],
             vacancies: Array2::zeros((count, first.columns.len())),
             dose_before: Vec::with_capacity(count),
             clipped: 0,
@@ -100,6 +137,7 @@ impl DoseSeries {
         self.data.index_axis_mut(Axis(0), number).assign(&one.data.index_axis(Axis(0), 0));
         self.clipped += one.clipped;
         self.ideal.index_axis_mut(Axis(0), number).assign(&one.ideal);
+        self.others.iter_mut().zip(&one.others).for_each(|(to, from)| to.set(number, from));
         // Losing atoms changes neither the columns of a specimen nor their order.
         let mut vacancies = self.vacancies.row_mut(number);
         for (to, column) in vacancies.iter_mut().zip(&one.columns) {

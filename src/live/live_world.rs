@@ -6,9 +6,12 @@ use std::sync::Arc;
 use ndarray::Array2;
 
 use super::block_imager::BlockImager;
+use super::exposed_scan::{expose, lost};
 use super::live_history::{LiveAcquisition, LiveSnapshot};
 use crate::acquisition::{Acquisition, Exposure, ScanPath};
+use crate::detect::Detector;
 use crate::error::{Error, Result};
+use crate::imaging::region_imager::DetectorChoice;
 use crate::imaging::{GrownCarbon, MOST_GROWN_ANGSTROM, MethodChoice, PixelRect, RegionImager};
 use crate::lengths;
 use crate::progress::{InterruptOnly, Progress, Silent};
@@ -16,12 +19,14 @@ use crate::recipe::{CheckedRecipe, Recipe, Region};
 use crate::rng::{Purpose, words};
 use crate::setting::Setting;
 use crate::specimen::{DamagedSpecimen, DoseMap, ParticleTruth, SiteKind, Specimen, specimen};
-use crate::structure::elements;
 use crate::world::noise_free::{refined, refinement};
+use crate::world::recorded_detectors::{
+    RecordedDetector, check_carbon, is_main_alone, recorded_detectors, recorded_recipe,
+};
 use crate::world::region_truth::list;
 use crate::world::{
     BuildOptions, CarbonBefore, ColumnTruth, Electrons, FieldRecording, FieldTile, ImagePlan,
-    ImagerSource, RecordedPart, RecordingOptions, SiteTruth, expose_frame, grown, record_over,
+    ImagerSource, RecordedField, RecordedPart, RecordingOptions, SiteTruth, grown, record_over,
     scan_of, tile_of_image,
 };
 
@@ -43,12 +48,14 @@ pub struct LiveOptions {
     pub most_dose: f64,
     /// Size of the image cache in bytes.
     pub image_bytes: usize,
+    /// Names of the detectors of its images and recordings; `None`: all of the recipe.
+    pub detectors: Option<Vec<String>>,
 }
 
 impl Default for LiveOptions {
     fn default() -> Self {
         let imaging = BuildOptions::default();
-        LiveOptions { imaging, most_dose: MOST_DOSE, image_bytes: 256 << 20 }
+        LiveOptions { imaging, most_dose: MOST_DOSE, image_bytes: 256 << 20, detectors: None }
     }
 }
 
@@ -90,6 +97,8 @@ pub struct LiveWorld {
     specimen: Arc<DamagedSpecimen>,
     imager: BlockImager,
     most_dose: f64,
+    /// The detectors of its images and recordings.
+    detectors: Vec<RecordedDetector>,
     /// Thickness of the carbon in Angstrom at all exposed places.
     carbon: DoseMap,
     /// The film of carbon, made when carbon grows for the first time.
@@ -104,11 +113,13 @@ struct Unprepared {
     parts: usize,
     damaged: Arc<DamagedSpecimen>,
     imager: Box<dyn RegionImager>,
+    detectors: Vec<RecordedDetector>,
 }
 
 impl Unprepared {
     fn new(recipe: &CheckedRecipe, seed: u64, options: &LiveOptions) -> Result<Self> {
-        let recipe = own_recipe(recipe, seed)?;
+        let detectors = recorded_detectors(recipe, options.detectors.as_deref())?;
+        let recipe = recorded_recipe(Recipe { seed, ..recipe.recipe().clone() }, &detectors)?;
         if !(1e-3..=1e12).contains(&options.most_dose) {
             let expected = "expected 0.001 to 1e12 electrons per square Angstrom";
             return Err(Error::invalid(Setting::MostDose, options.most_dose, expected));
@@ -124,7 +135,7 @@ impl Unprepared {
             imaging.method = MethodChoice::Mosaic;
         }
         let imager = imaging.imager(&fine, &seen)?;
-        Ok(Unprepared { recipe, fine, parts, damaged, imager })
+        Ok(Unprepared { recipe, fine, parts, damaged, imager, detectors })
     }
 }
 
@@ -154,7 +165,7 @@ impl LiveWorld {
         options: &LiveOptions,
         progress: &dyn Progress,
     ) -> Result<Self> {
-        let Unprepared { recipe, fine, parts, damaged, mut imager } =
+        let Unprepared { recipe, fine, parts, damaged, mut imager, detectors } =
             Unprepared::new(recipe, seed, options)?;
         imager.prepare(progress)?;
         let imager = BlockImager::new(imager, &fine, &damaged, options.image_bytes)?;
@@ -166,6 +177,7 @@ impl LiveWorld {
             specimen: damaged,
             imager,
             most_dose,
+            detectors,
             carbon: DoseMap::default(),
             carbon_film: None,
             history: vec![],
@@ -202,7 +214,7 @@ impl LiveWorld {
         self.imager.block_count()
     }
 
-    /// The noise-free image of some pixels of the field, and its truth, without exposure.
+    /// The noise-free images of some pixels of the field on all detectors, and their truth, without exposure.
     ///
     /// # Errors
     /// Errors of [`crate::world::field_tile`].
@@ -213,18 +225,30 @@ impl LiveWorld {
             let end = pixels.first[k].checked_add(pixels.shape[k]);
             pixels.shape[k] > 0 && end.is_some_and(|end| end <= full[k])
         });
-        let clean = match inside {
-            true => {
-                let fine = PixelRect::new(finer(pixels.first), finer(pixels.shape));
-                let all = self.recipe.phonons.configurations.max(1);
-                let imager: &dyn RegionImager = &self.imager;
-                let image = imager.mean_of(&fine.every(self.parts), all, &Silent)?;
-                self.with_carbon(pixels, image.mapv(|v| v as f32))?
-            }
+        if !inside {
             // `tile_of_image` refuses these pixels.
-            false => Array2::zeros([0, 0]),
+            let none = Array2::zeros([0, 0]);
+            return tile_of_image(&self.recipe, &*self.specimen, pixels, none, None);
+        }
+        let fine = PixelRect::new(finer(pixels.first), finer(pixels.shape));
+        let all = self.recipe.phonons.configurations.max(1);
+        let choice = match is_main_alone(&self.detectors) {
+            true => DetectorChoice::Main,
+            false => DetectorChoice::All,
         };
-        tile_of_image(&self.recipe, &*self.specimen, pixels, clean, None)
+        let images = self.imager.images_of(&fine.every(self.parts), choice, all, &Silent)?;
+        let images: Vec<_> = images.iter().map(|image| image.mapv(|v| v as f32)).collect();
+        let shown = self.detectors.iter().map(|one| one.shown.image_of(&images));
+        let mut shown = shown.collect::<Vec<_>>().into_iter();
+        let clean = self.with_carbon(pixels, shown.next().unwrap_or_default())?;
+        let tile = tile_of_image(&self.recipe, &*self.specimen, pixels, clean, None)?;
+        let others = self.detectors.iter().skip(1).map(|one| one.shown.detector.clone());
+        Ok(FieldTile { others: others.zip(shown).collect(), ..tile })
+    }
+
+    /// The detectors of the images and recordings of this world, in their order.
+    pub fn detectors(&self) -> impl Iterator<Item = &Detector> {
+        self.detectors.iter().map(|one| &one.shown.detector)
     }
 
     /// Adds the grown carbon to an image of some pixels.
@@ -244,6 +268,7 @@ impl LiveWorld {
     /// Makes the film that the carbon grows from, if there is carbon or electrons add some.
     fn make_carbon_film(&mut self, per_electron: f64) -> Result<()> {
         if self.carbon_film.is_none() && (per_electron > 0.0 || self.carbon.greatest() > 0.0) {
+            check_carbon(&self.detectors, &self.recipe)?;
             self.carbon_film =
                 Some(GrownCarbon::on(&self.recipe, self.specimen.layout().facts().thickness_nm)?);
         }
@@ -289,7 +314,8 @@ impl LiveWorld {
         region.moved(self.recipe.field.origin_nm())
     }
 
-    /// Records a part of the field. Afterwards the specimen has the damage of the electrons.
+    /// Records a part of the field on all detectors. Afterwards the specimen has the damage of the electrons, which are the same for all
+    /// detectors.
     ///
     /// # Errors
     /// Errors of [`record`](crate::world::record); [`Error::Invalid`] for a dose above the world's largest. After an error the world is
@@ -313,12 +339,15 @@ impl LiveWorld {
         let rate = request.acquisition.contamination_angstrom3_per_electron;
         self.make_carbon_film(rate)?;
         let source = ImagerSource { imager: &self.imager, recipe: &self.fine };
-        let (recipe, part) = (&self.recipe, &request.part);
-        let quiet = InterruptOnly(progress);
         let film = self.carbon_film.as_ref();
-        let carbon = film.map(|film| CarbonBefore { film, angstrom: &self.carbon });
-        let (specimen, carbon) = (&*self.specimen, carbon.as_ref());
-        let recording = record_over(recipe, specimen, &source, part, &options, carbon, &quiet)?;
+        let field = RecordedField {
+            recipe: &self.recipe,
+            specimen: &*self.specimen,
+            source: &source,
+            detectors: &self.detectors,
+            carbon: film.map(|film| CarbonBefore { film, angstrom: &self.carbon }),
+        };
+        let recording = record_over(&field, &request.part, &options, &InterruptOnly(progress))?;
         self.carbon.add_all(&grown(&path, &exposure, rate));
         let carbon_nm = recording.carbon_nm.first().copied().unwrap_or(0.0);
         self.change((&request.part, carbon_nm), (&path, &exposure), (&spent, area));
@@ -418,6 +447,12 @@ impl LiveWorld {
         atoms
     }
 
+    /// Whether a recipe is this world's except for its detectors, which doses do not depend on.
+    fn differs_in_detectors(&self, recipe: &str) -> bool {
+        let Ok(other) = Recipe::from_toml_str("snapshot", recipe, None) else { return false };
+        Recipe { detector: self.recipe.detector.clone(), ..other } == *self.recipe.recipe()
+    }
+
     /// The current state of the world.
     pub fn snapshot(&self) -> LiveSnapshot {
         LiveSnapshot {
@@ -444,7 +479,8 @@ impl LiveWorld {
             let value = format!("version {}", snapshot.version);
             return refuse(&value, "this program reads snapshots of version 1 and 2");
         }
-        if snapshot.recipe != self.recipe.to_toml() {
+        if snapshot.recipe != self.recipe.to_toml() && !self.differs_in_detectors(&snapshot.recipe)
+        {
             return refuse("another recipe or seed", "expected a snapshot of this world");
         }
         if let Some(fault) = snapshot.fault() {
@@ -468,34 +504,4 @@ impl LiveWorld {
         self.history.clone_from(&snapshot.history);
         Ok(())
     }
-}
-
-/// Replaces the seed of a recipe, and all detectors by the main one.
-fn own_recipe(recipe: &CheckedRecipe, seed: u64) -> Result<CheckedRecipe> {
-    let mut own: Recipe = recipe.recipe().clone();
-    own.seed = seed;
-    // A recording has one detector.
-    own.detector = own.detector.main_alone();
-    own.checked()
-}
-
-/// Adds the electrons of a scan to a dose map, line by line. Returns the exposed area (nm of the full field).
-fn expose(dose: &mut DoseMap, path: &ScanPath, exposure: &Exposure) -> Region {
-    let mut area = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
-    for number in 0..path.frames() {
-        let own = expose_frame(dose, path, exposure.electrons_per_pixel, number);
-        for (all, own) in area.iter_mut().zip([own.x, own.y]) {
-            *all = [all[0].min(own[0]), all[1].max(own[1])];
-        }
-    }
-    Region { x: area[0], y: area[1] }
-}
-
-/// Number of lost atoms of each element.
-fn lost(before: &BTreeMap<u8, u64>, after: &BTreeMap<u8, u64>) -> BTreeMap<String, u64> {
-    let gone = |(number, count): (&u8, &u64)| {
-        let left = after.get(number).copied().unwrap_or_default();
-        (*count > left).then(|| (elements::symbol(*number).to_owned(), count - left))
-    };
-    before.iter().filter_map(gone).collect()
 }

@@ -5,13 +5,14 @@
 
 mod block_imager;
 mod dose_series;
+mod exposed_scan;
 mod live_history;
 mod live_patterns;
 mod live_world;
 #[cfg(feature = "hdf5")]
 mod series_writer;
 
-pub use dose_series::{DoseSeries, check_recordings};
+pub use dose_series::{DetectorSeries, DoseSeries, check_recordings};
 pub use live_history::{LiveAcquisition, LiveSnapshot};
 pub use live_patterns::PlacePatterns;
 pub use live_world::{LiveOptions, LiveRequest, LiveTruth, LiveWorld};

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::dose_series::DoseSeries;
 use super::live_world::LiveWorld;
 use crate::error::Result;
-use crate::io::{RecordingFile, SeriesPart, write_recording};
+use crate::io::{RecordedImages, RecordingFile, SeriesPart, write_recording};
 
 impl DoseSeries {
     /// Writes a file with the recordings and their truth. Its schema is described in `recording_file.rs`.
@@ -21,17 +21,29 @@ impl DoseSeries {
         command_line: &str,
     ) -> Result<()> {
         let series = SeriesPart {
-            ideal: &self.ideal,
             vacancies: &self.vacancies,
             dose_before: &self.dose_before,
             lost: self.lost(),
             history: serde_json::to_string(&self.history).unwrap_or_default(),
         };
+        let one = self.first.file(world.recipe(), command_line);
+        let others = one.others.into_iter().zip(&self.others);
+        let others = others.map(|(one, own)| RecordedImages {
+            data: &own.data,
+            clipped: own.clipped,
+            series: Some(&own.ideal),
+            ..one
+        });
         let file = RecordingFile {
-            data: &self.data,
+            first: RecordedImages {
+                data: &self.data,
+                clipped: self.clipped,
+                series: Some(&self.ideal),
+                ..one.first
+            },
+            others: others.collect(),
             is_stack: true,
             is_sum: self.first.exposure.frames > 1,
-            clipped: self.clipped,
             series: Some(series),
             ..self.first.file(world.recipe(), command_line)
         };

@@ -7,6 +7,7 @@ use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize as DeriveDeserialize, Serialize};
 
 use super::fault::{Checked, fault, within};
+use crate::acquisition::{DetectorValues, Profile};
 use crate::detect::Detector;
 
 /// Name of a detector for which the recipe gives none.
@@ -59,9 +60,17 @@ pub struct NamedDetectorTable {
     /// Whether the detector gives the images `NAME_x` and `NAME_y` of the mean angle of its electrons in mrad.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub centre_of_mass: bool,
+    /// Values of `[acquisition]` that recordings have on this detector, in place of the values of the recording.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acquisition: Option<DetectorValues>,
 }
 
 impl NamedDetectorTable {
+    /// Number of images: each sector has one, a centre of mass two.
+    fn images(&self) -> usize {
+        if self.centre_of_mass { 2 } else { self.sectors.unwrap_or(1) }
+    }
+
     fn detectors(&self) -> Vec<Detector> {
         let whole = Detector::new(&self.name, self.inner_mrad, self.outer_mrad);
         let whole = whole.with_response(self.response.clone());
@@ -116,14 +125,19 @@ impl DetectorTables {
     pub fn count(&self) -> usize {
         match self {
             DetectorTables::One(_) => 1,
-            DetectorTables::Several(tables) => {
-                let images = |table: &NamedDetectorTable| match table.centre_of_mass {
-                    true => 2,
-                    false => table.sectors.unwrap_or(1),
-                };
-                tables.iter().map(images).sum()
-            }
+            DetectorTables::Several(tables) => tables.iter().map(NamedDetectorTable::images).sum(),
         }
+    }
+
+    /// Returns the name of the table of each image, and the values of its detector chain.
+    pub(crate) fn tables_of_images(&self) -> Vec<(String, DetectorValues)> {
+        let DetectorTables::Several(tables) = self else {
+            return vec![(USUAL_NAME.to_owned(), DetectorValues::default())];
+        };
+        let of = |table: &NamedDetectorTable| {
+            vec![(table.name.clone(), table.acquisition.unwrap_or_default()); table.images()]
+        };
+        tables.iter().flat_map(of).collect()
     }
 
     /// Returns the table with the main detector alone.
@@ -203,6 +217,7 @@ pub(crate) fn check_detectors(detectors: &DetectorTables) -> Checked {
         check_response(&table.response)?;
         check_sectors(n, table)?;
         check_centre_of_mass(n, table)?;
+        check_values(n, table)?;
     }
     check_names(tables)
 }
@@ -238,6 +253,22 @@ fn check_centre_of_mass(n: usize, table: &NamedDetectorTable) -> Checked {
         (_, None) => return Ok(()),
     };
     fault("detector.centre_of_mass", true, expected)
+}
+
+/// Checks the values of a detector chain.
+fn check_values(n: usize, table: &NamedDetectorTable) -> Checked {
+    let Some(values) = table.acquisition else { return Ok(()) };
+    let expected = match (n, table.centre_of_mass) {
+        (0, _) => "the first detector has the values of the table [acquisition]; set them there",
+        (_, true) => {
+            "the camera of a centre of mass counts single electrons, without the values of [acquisition]; leave the table out"
+        }
+        _ => {
+            let all = values.over(&Profile::Ideal.acquisition());
+            return all.check().map_err(|fault| fault.in_table("detector.acquisition"));
+        }
+    };
+    fault("detector.acquisition", "(given)", expected)
 }
 
 /// Checks that all images together have different names, and are not too many.
@@ -360,6 +391,27 @@ mod tests {
             assert!(message.contains(part), "{value}: {message}");
         }
         assert!(!with(TWO).unwrap().to_toml().contains("centre_of_mass"));
+    }
+
+    #[test]
+    fn later_detectors_may_have_a_chain_of_their_own() {
+        let own = |values: &str| {
+            TWO.replace("outer_mrad=21", &format!("outer_mrad=21,acquisition={values}"))
+        };
+        let recipe = with(&own("{gain_counts=2.0,bits=8}")).unwrap();
+        let values = recipe.detector.tables_of_images()[1].1;
+        assert_eq!((values.gain_counts, values.bits, values.dqe), (Some(2.0), Some(8), None));
+        assert_eq!(Recipe::from_toml_str("copy", &recipe.to_toml(), None).unwrap(), recipe);
+        assert_eq!(recipe.detector.measured(), with(TWO).unwrap().detector.measured());
+        for (value, part) in [
+            (own("{bits=9}"), "detector.acquisition.bits"),
+            (own("{frames=2}"), "unknown field"),
+            (TWO.replace("200}", "200,acquisition={bits=8}}"), "values of the table [acquisition]"),
+            (own("{bits=8},centre_of_mass=true"), "counts single electrons"),
+        ] {
+            let message = with(&value).unwrap_err().to_string();
+            assert!(message.contains(part), "{value}: {message}");
+        }
     }
 
     #[test]

@@ -1,11 +1,17 @@
 //! A recording of a part of a field, with its ground truth.
 
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array2, Array3};
 
 use super::contamination::{CarbonBefore, GrowingCarbon, check_thickness, grown};
+use super::detector_recorder::{DetectorRecorder, numbers_of};
+use super::kept_frames::KeptFrames;
 use super::noise_free::NoiseFree;
+use super::recorded_detectors::{RecordedDetector, check_carbon, recorded_detectors};
 use super::region_truth::{ColumnTruth, SiteTruth, list};
-use crate::acquisition::{Acquisition, Exposure, Recorder, ScanFrame, ScanPath, SourceImage};
+use crate::acquisition::{
+    Acquisition, Exposure, Recorder, ScanFrame, ScanPath, SourceImage, clipping_warning,
+};
+use crate::detect::Detector;
 use crate::engine::check_memory;
 use crate::error::{Error, Result};
 use crate::imaging::GrownCarbon;
@@ -130,17 +136,22 @@ pub struct RecordingStages {
 pub struct FieldRecording {
     /// The pixels of the intended scan, in nm from the centre of the first built pixel of the field.
     pub frame: ScanFrame,
-    /// The settings of the recording.
+    /// The settings of the recording, on the first detector.
     pub options: RecordingOptions,
     /// Electrons, time and frames.
     pub exposure: Exposure,
-    /// The recorded values, as the file of a microscope would hold them: [frame, row, column]; one frame if the frames are summed.
+    /// The first detector, on which `data`, `ideal`, `stages` and `clipped` were recorded.
+    pub detector: Detector,
+    /// The recorded values, as the file of a microscope would hold them: [frame, row, column]; one frame if the frames are summed. A centre
+    /// of mass is in mrad; of several frames it is that of all their electrons.
     pub data: Array3<f64>,
     /// The noise-free image at the pixels of the intended scan, [row, column], as fraction of the beam, with the carbon that was on the
     /// specimen when the recording began.
     pub ideal: Array2<f32>,
     /// The stages between `ideal` and `data`, if they are kept.
     pub stages: Option<RecordingStages>,
+    /// The images of the same electrons on the other detectors, in the order of the recipe.
+    pub others: Vec<DetectorRecording>,
     /// For each line of each frame: its time in s, and the drift (x, y) of the specimen in nm.
     pub drift: Vec<[f64; 3]>,
     /// Sites of the columns in the part.
@@ -156,7 +167,81 @@ pub struct FieldRecording {
     pub clipped: u64,
 }
 
-/// Records a part of the field of a recipe, on which no carbon has grown yet.
+impl FieldRecording {
+    /// The recorded values on each detector, the first one first.
+    pub fn images(&self) -> impl Iterator<Item = (&Detector, &Array3<f64>)> {
+        let others = self.others.iter().map(|one| (&one.detector, &one.data));
+        std::iter::once((&self.detector, &self.data)).chain(others)
+    }
+
+    /// Warnings of pixels that the converters clipped.
+    pub fn clipping_warnings(&self) -> Vec<String> {
+        let [rows, columns] = self.frame.shape;
+        let pixels = rows * columns * self.exposure.frames;
+        let one = |detector: &Detector, clipped, acquisition: &Acquisition| {
+            let warning = clipping_warning(clipped, pixels, acquisition.bits)?;
+            let several = !self.others.is_empty();
+            Some(if several { format!("{}: {warning}", detector.name) } else { warning })
+        };
+        let first = one(&self.detector, self.clipped, &self.options.acquisition);
+        let others = self.others.iter();
+        let others = others.filter_map(|own| one(&own.detector, own.clipped, &own.acquisition));
+        first.into_iter().chain(others).collect()
+    }
+}
+
+/// The images of a recording on another detector than the first. Arrays are as in [`FieldRecording`]; a centre of mass is in mrad.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct DetectorRecording {
+    /// The detector.
+    pub detector: Detector,
+    /// The settings of the recording on this detector.
+    pub acquisition: Acquisition,
+    /// The recorded values.
+    pub data: Array3<f64>,
+    /// The noise-free image.
+    pub ideal: Array2<f32>,
+    /// The stages between `ideal` and `data`, if they are kept.
+    pub stages: Option<RecordingStages>,
+    /// Number of pixels in all frames that the converter clipped.
+    pub clipped: u64,
+}
+
+/// A field that is recorded.
+pub(crate) struct RecordedField<'a> {
+    pub recipe: &'a CheckedRecipe,
+    pub specimen: &'a dyn Specimen,
+    pub source: &'a dyn NoiseFree,
+    /// The detectors that record, at least one.
+    pub detectors: &'a [RecordedDetector],
+    /// The carbon on the specimen; with `None` no carbon is there and none grows.
+    pub carbon: Option<CarbonBefore<'a>>,
+}
+
+impl RecordedField<'_> {
+    /// Records a part of the field, on which no carbon has grown yet.
+    ///
+    /// # Errors
+    /// As [`record`]; [`Error::Invalid`] for carbon that grows on several detectors.
+    pub(super) fn record_clean(
+        &self,
+        part: &RecordedPart,
+        options: &RecordingOptions,
+        progress: &dyn Progress,
+    ) -> Result<FieldRecording> {
+        let none = DoseMap::default();
+        if options.acquisition.contamination_angstrom3_per_electron <= 0.0 {
+            return record_over(self, part, options, progress);
+        }
+        check_carbon(self.detectors, self.recipe)?;
+        let film = GrownCarbon::on(self.recipe, self.specimen.facts().thickness_nm)?;
+        let carbon = Some(CarbonBefore { film: &film, angstrom: &none });
+        record_over(&RecordedField { carbon, ..*self }, part, options, progress)
+    }
+}
+
+/// Records a part of the field of a recipe on all its detectors. No carbon has grown on it yet.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a part whose scan leaves the field, or values out of limits; [`Error::Memory`]; errors of the source, and
@@ -169,27 +254,22 @@ pub fn record(
     options: &RecordingOptions,
     progress: &dyn Progress,
 ) -> Result<FieldRecording> {
-    let rate = options.acquisition.contamination_angstrom3_per_electron;
-    let film = (rate > 0.0).then(|| GrownCarbon::on(recipe, specimen.facts().thickness_nm));
-    let film = film.transpose()?;
-    let none = DoseMap::default();
-    let carbon = film.as_ref().map(|film| CarbonBefore { film, angstrom: &none });
-    record_over(recipe, specimen, source, part, options, carbon.as_ref(), progress)
+    let detectors = &recorded_detectors(recipe, None)?[..];
+    let field = RecordedField { recipe, specimen, source, detectors, carbon: None };
+    field.record_clean(part, options, progress)
 }
 
-/// Records a part of the field with carbon on the specimen; with `None` no carbon is there and none grows.
+/// Records a part of a field, with the carbon on it. All detectors record the same electrons on the same path.
 ///
 /// # Errors
 /// As [`record`]; [`Error::Invalid`] for carbon that would become too thick.
 pub(crate) fn record_over(
-    recipe: &CheckedRecipe,
-    specimen: &dyn Specimen,
-    source: &dyn NoiseFree,
+    field: &RecordedField,
     part: &RecordedPart,
     options: &RecordingOptions,
-    carbon: Option<&CarbonBefore>,
     progress: &dyn Progress,
 ) -> Result<FieldRecording> {
+    let RecordedField { recipe, specimen, source, detectors, carbon } = field;
     let origin = recipe.field.origin_nm();
     let frame = part.frame(origin)?;
     let recorder = recorder(&frame, options)?;
@@ -202,64 +282,75 @@ pub(crate) fn record_over(
     let meant = [region.x, region.y];
     let reach = recorder.path().reach_nm(0..frame.shape[0]);
     let reach = plane::per_axis(reach, meant, |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
-    check_size(&frame, reach, recipe.field.pixel_nm(), options)?;
-    let image = source.image(reach, progress)?;
-    let carbon = carbon.map(|before| GrowingCarbon::new(before, &image, rate)).transpose()?;
-    let begun = carbon.as_ref().map(|carbon| carbon.over(&image));
-    let ideal = meant_image(&frame, begun.as_ref().unwrap_or(&image));
-    let (lines, carbon_nm) = all_frames(&recorder, options, (&image, carbon), progress)?;
+    let numbers = numbers_of(detectors);
+    check_size(&frame, reach, recipe.field.pixel_nm(), options, [detectors.len(), numbers.len()])?;
+    let mut images = source.images(reach, &numbers, progress)?;
+    let recorders: Vec<DetectorRecorder> = detectors
+        .iter()
+        .map(|one| DetectorRecorder::new(one, &recorder, options, &numbers))
+        .collect();
+    let carbon = carbon.map(|before| GrowingCarbon::new(&before, &images[0], rate)).transpose()?;
+    let begun = carbon.as_ref().map(|carbon| vec![carbon.over(&images[0])]);
+    let seen = begun.as_ref().unwrap_or(&images);
+    let ideal: Vec<Array2<f32>> = recorders.iter().map(|one| one.meant(&frame, seen)).collect();
+    let scanned = (&recorder, &recorders[..]);
+    let (kept, carbon_nm) = all_frames(scanned, options, (&mut images, carbon), progress)?;
     let path = recorder.path();
     let (sites, columns) = list(&specimen.query(&region_of(&frame)), frame.origin_nm, 0);
     let position_in_image = appearances(path, &columns, options);
     let drift = path.drift_curve();
+    let images = recorders.iter().zip(kept).zip(ideal);
+    let mut images = images.map(|((one, kept), ideal)| one.recording(kept, ideal));
+    let Some(first) = images.next() else {
+        return Err(Error::invalid(Setting::DetectorName, "none", "expected one at least"));
+    };
     Ok(FieldRecording {
         frame: ScanFrame { origin_nm: plane::sub(frame.origin_nm, origin), ..frame },
-        options: *options,
+        options: RecordingOptions { acquisition: first.acquisition, ..*options },
         exposure: *recorder.exposure(),
-        data: lines.data,
-        ideal,
-        stages: lines.stages,
+        detector: first.detector,
+        data: first.data,
+        ideal: first.ideal,
+        stages: first.stages,
+        others: images.collect(),
         drift,
         sites,
         columns,
         position_in_image,
         carbon_nm,
-        clipped: lines.clipped,
+        clipped: first.clipped,
     })
 }
 
-/// Samples the image at the pixels of the intended scan.
-fn meant_image(frame: &ScanFrame, image: &SourceImage) -> Array2<f32> {
-    Array2::from_shape_fn(frame.shape, |(row, column)| {
-        let at = [column, row].map(|p| p as f64 * frame.pixel_nm);
-        image.at(plane::add(frame.origin_nm, at)) as f32
-    })
-}
-
-/// Records all frames of an image, on which carbon may grow; also returns the mean thickness in nm of the carbon at the beginning of each
-/// frame.
+/// Records all frames of the images of all detectors. On the first carbon may grow; also returns the mean thickness in nm of the carbon at
+/// the beginning of each frame.
 fn all_frames(
-    recorder: &Recorder,
+    (recorder, detectors): (&Recorder, &[DetectorRecorder]),
     options: &RecordingOptions,
-    (image, mut carbon): (&SourceImage, Option<GrowingCarbon>),
+    (images, mut carbon): (&mut [SourceImage], Option<GrowingCarbon>),
     progress: &dyn Progress,
-) -> Result<(KeptFrames, Vec<f64>)> {
+) -> Result<(Vec<KeptFrames>, Vec<f64>)> {
     let frame = *recorder.path().frame();
-    let mut lines = KeptFrames::new(&frame, options);
+    let mut kept: Vec<KeptFrames> =
+        detectors.iter().map(|one| KeptFrames::new(&frame, options, one.is_deflection())).collect();
+    let bare = images.first().filter(|_| carbon.is_some()).cloned();
     let mut carbon_nm = Vec::new();
     let (frames, rows) = (options.acquisition.frames, frame.shape[0]);
     progress.start("recording", "line", (frames * rows) as u64);
     for number in 0..frames {
-        let covered = carbon.as_ref().map(|carbon| carbon.over(image));
-        let image = covered.as_ref().unwrap_or(image);
-        carbon_nm.extend(carbon.as_ref().map(|carbon| carbon.mean_nm(&region_of(&frame))));
-        let mut late = 0.0;
+        if let (Some(carbon), Some(bare)) = (&carbon, &bare) {
+            images[0] = carbon.over(bare);
+            carbon_nm.push(carbon.mean_nm(&region_of(&frame)));
+        }
+        let mut late = vec![0.0; detectors.len()];
         for first in (0..rows).step_by(ROWS_AT_ONCE) {
             if progress.interrupted() {
                 return Err(Error::Interrupted);
             }
             let rows = first..(first + ROWS_AT_ONCE).min(rows);
-            lines.add(number, first, &recorder.rows(number, rows.clone(), image, &mut late));
+            for ((one, kept), late) in detectors.iter().zip(&mut kept).zip(&mut late) {
+                kept.add(number, first, &one.rows(number, rows.clone(), images, late));
+            }
             progress.advance(rows.len() as u64);
         }
         if let Some(carbon) = carbon.as_mut().filter(|_| number + 1 < frames) {
@@ -267,7 +358,7 @@ fn all_frames(
         }
     }
     progress.finish();
-    Ok((lines, carbon_nm))
+    Ok((kept.into_iter().map(KeptFrames::finished).collect(), carbon_nm))
 }
 
 /// Returns the path and the exposure of a scan of a part of the field, in nm of the full field.
@@ -303,6 +394,7 @@ fn check_size(
     reach: [[f64; 2]; 2],
     source_pixel_nm: f64,
     options: &RecordingOptions,
+    [detectors, measured]: [usize; 2],
 ) -> Result<()> {
     let pixels = (frame.shape[0] * frame.shape[1]) as u64;
     let frames = options.acquisition.frames as u64;
@@ -310,51 +402,9 @@ fn check_size(
     let stages = if options.keep_stages { frames } else { 0 };
     let source: f64 =
         reach.iter().map(|[low, high]| (high - low) / source_pixel_nm + 20.0).product();
-    let bytes = pixels * (8 * kept + 8 * stages + 8) + source as u64 * SOURCE_BYTES;
+    let bytes = pixels * (8 * kept + 8 * stages + 8) * detectors as u64
+        + source as u64 * SOURCE_BYTES * measured as u64;
     check_memory(bytes, "record a smaller part, or fewer frames")
-}
-
-/// The frames or stages of a recording that are kept.
-struct KeptFrames {
-    data: Array3<f64>,
-    stages: Option<RecordingStages>,
-    keep_frames: bool,
-    clipped: u64,
-}
-
-impl KeptFrames {
-    fn new(frame: &ScanFrame, options: &RecordingOptions) -> Self {
-        let [rows, columns] = frame.shape;
-        let frames = options.acquisition.frames;
-        let kept = if options.keep_frames { frames } else { 1 };
-        let stages = || RecordingStages {
-            moved: Array3::zeros((frames, rows, columns)),
-            electrons: Array3::zeros((frames, rows, columns)),
-        };
-        KeptFrames {
-            data: Array3::zeros((kept, rows, columns)),
-            stages: options.keep_stages.then(stages),
-            keep_frames: options.keep_frames,
-            clipped: 0,
-        }
-    }
-
-    fn add(&mut self, frame: usize, first: usize, rows: &crate::acquisition::RecordedRows) {
-        let range = ndarray::Slice::from(first..first + rows.values.nrows());
-        let to = if self.keep_frames { frame } else { 0 };
-        let mut data = self.data.index_axis_mut(Axis(0), to);
-        let mut data = data.slice_axis_mut(Axis(0), range);
-        data.zip_mut_with(&rows.values, |sum, value| *sum += f64::from(*value));
-        if let Some(stages) = &mut self.stages {
-            for (to, from) in
-                [(&mut stages.moved, &rows.moved), (&mut stages.electrons, &rows.electrons)]
-            {
-                let mut to = to.index_axis_mut(Axis(0), frame);
-                to.slice_axis_mut(Axis(0), range).assign(from);
-            }
-        }
-        self.clipped += rows.clipped;
-    }
 }
 
 /// Returns the area that the pixels of a scan are meant to cover.

@@ -3,6 +3,7 @@
 use ndarray::Array2;
 
 use super::region_truth::{ColumnTruth, SiteTruth, boundary_parts, list, phase_map};
+use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::imaging::{Noise, check_countable};
 use crate::imaging::{PixelRect, RegionImager};
@@ -23,6 +24,8 @@ pub struct FieldTile {
     pub origin_nm: [f64; 2],
     /// The noise-free image, [row, column] = [y, x], in fractions of the beam.
     pub clean: Array2<f32>,
+    /// Images on other detectors than the first, in live worlds; a centre of mass is in mrad.
+    pub others: Vec<(Detector, Array2<f32>)>,
     /// Counted electrons, [row, column], if a dose was given.
     pub counts: Option<Array2<u32>>,
     /// Lattice sites of the columns in the tile.
@@ -99,6 +102,7 @@ pub(crate) fn tile_of_image(
         pixel_nm: pixel,
         origin_nm: plane::sub(plane::swapped(pixels.first).map(|n| n as f64 * pixel), built),
         clean,
+        others: Vec::new(),
         counts,
         sites,
         columns,

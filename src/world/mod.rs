@@ -7,11 +7,14 @@ mod atoms_export;
 mod build_options;
 pub(crate) mod column_labels;
 mod contamination;
+mod detector_recorder;
 mod field_recording;
 mod field_tile;
 pub mod footprint;
 mod image_plan;
+mod kept_frames;
 pub(crate) mod noise_free;
+pub(crate) mod recorded_detectors;
 pub(crate) mod region_truth;
 #[cfg(feature = "render")]
 mod specimen_drawing;
@@ -24,9 +27,10 @@ pub use atoms_export::{ExportOptions, ExportSummary, estimated_rows, export};
 pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
 pub(crate) use contamination::{CarbonBefore, expose_frame, grown};
 pub use field_recording::{
-    Electrons, FieldRecording, RecordedPart, RecordingOptions, RecordingStages, record,
+    DetectorRecording, Electrons, FieldRecording, RecordedPart, RecordingOptions, RecordingStages,
+    record,
 };
-pub(crate) use field_recording::{record_over, scan_of};
+pub(crate) use field_recording::{RecordedField, record_over, scan_of};
 pub(crate) use field_tile::tile_of_image;
 pub use field_tile::{FieldTile, field_tile};
 pub use image_plan::ImagePlan;

@@ -4,6 +4,7 @@ use ndarray::Array2;
 
 use crate::acquisition::SourceImage;
 use crate::error::{Error, Result};
+use crate::imaging::region_imager::DetectorChoice;
 use crate::imaging::{PixelRect, RegionImager};
 use crate::lengths;
 use crate::plane;
@@ -61,11 +62,17 @@ pub trait NoiseFree {
     /// Returns the first row and column that are available, and the row and column behind the last, in pixels of the full field.
     fn extent_px(&self) -> [[usize; 2]; 2];
 
-    /// Returns the image of some of these pixels, [row, column] = [y, x], as fraction of the beam.
+    /// Returns images of some of these pixels, [row, column] = [y, x], as fraction of the beam: those with these numbers among the measured
+    /// detectors of the recipe. Number 0 is the main detector.
     ///
     /// # Errors
     /// Errors of the engine or of the file, and [`Error::Interrupted`].
-    fn pixels(&self, pixels: &PixelRect, progress: &dyn Progress) -> Result<Array2<f32>>;
+    fn pixels(
+        &self,
+        pixels: &PixelRect,
+        measured: &[usize],
+        progress: &dyn Progress,
+    ) -> Result<Vec<Array2<f32>>>;
 
     /// Returns the least and greatest (x, y) in nm of the full field at which the image is available.
     fn inside_nm(&self) -> [[f64; 2]; 2] {
@@ -77,11 +84,17 @@ pub trait NoiseFree {
         })
     }
 
-    /// Returns the image around all places that a beam reaches: `reach_nm` is the least and greatest x and y in nm of the full field.
+    /// Returns images around all places that a beam reaches: `reach_nm` is the least and greatest x and y in nm of the full field, `measured`
+    /// are numbers of detectors as for [`NoiseFree::pixels`].
     ///
     /// # Errors
     /// [`Error::Invalid`] if the beam leaves the field, or the pixels are too coarse; errors of the engine or of the file.
-    fn image(&self, reach_nm: [[f64; 2]; 2], progress: &dyn Progress) -> Result<SourceImage> {
+    fn images(
+        &self,
+        reach_nm: [[f64; 2]; 2],
+        measured: &[usize],
+        progress: &dyn Progress,
+    ) -> Result<Vec<SourceImage>> {
         let inside = self.inside_nm();
         let outside = |k: usize| reach_nm[k][0] < inside[k][0] || reach_nm[k][1] > inside[k][1];
         if outside(0) || outside(1) {
@@ -96,9 +109,10 @@ pub trait NoiseFree {
         };
         let [[row, rows], [column, columns]] = [range(0), range(1)];
         let pixels = PixelRect::new([row, column], [rows, columns]);
-        let values = self.pixels(&pixels, progress)?;
         let origin = [column, row].map(|p| p as f64 * pixel);
-        SourceImage::new(values, pixel, origin, self.recipe().optics.image_band_limit())
+        let limit = self.recipe().optics.image_band_limit();
+        let image = |values| SourceImage::new(values, pixel, origin, limit);
+        self.pixels(&pixels, measured, progress)?.into_iter().map(image).collect()
     }
 }
 
@@ -119,13 +133,19 @@ impl NoiseFree for ImagerSource<'_> {
         [[0; 2], self.recipe.field.pixels(self.recipe.field.grid)]
     }
 
-    fn pixels(&self, pixels: &PixelRect, progress: &dyn Progress) -> Result<Array2<f32>> {
+    fn pixels(
+        &self,
+        pixels: &PixelRect,
+        measured: &[usize],
+        progress: &dyn Progress,
+    ) -> Result<Vec<Array2<f32>>> {
         let [stage, unit] = self.imager.facts().stage;
         progress.start(stage, unit, self.imager.work(pixels) as u64);
         let configurations = self.recipe.phonons.configurations.max(1);
-        let image = self.imager.mean_of(pixels, configurations, progress)?;
+        let choice = if measured == [0] { DetectorChoice::Main } else { DetectorChoice::All };
+        let images = self.imager.images_of(pixels, choice, configurations, progress)?;
         progress.finish();
-        Ok(image.mapv(|v| v as f32))
+        Ok(measured.iter().map(|n| images[*n].mapv(|v| v as f32)).collect())
     }
 }
 

@@ -7,11 +7,15 @@ use serde::{Deserialize, Serialize};
 
 use super::made_world::{WorldEngine, imaging_of};
 use super::noise_free::{refined, refinement};
+use super::recorded_detectors::{
+    RecordedDetector, check_carbon, recorded_detectors, recorded_recipe,
+};
 use super::{
-    Electrons, FieldRecording, ImagePlan, ImagerSource, RecordedPart, RecordingOptions,
-    WorldSource, record,
+    Electrons, FieldRecording, ImagePlan, ImagerSource, NoiseFree, RecordedField, RecordedPart,
+    RecordingOptions, WorldSource,
 };
 use crate::acquisition::{AcquisitionTable, Profile};
+use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::imaging::Cache;
 use crate::io::WorldFile;
@@ -48,6 +52,8 @@ pub struct RecordingRequest {
     pub keep_stages: bool,
     /// Seed of electrons, noise, jitter and random drift.
     pub seed: u64,
+    /// Names of the detectors that record; `None`: all of the recipe.
+    pub detectors: Option<Vec<String>>,
 }
 
 impl Default for RecordingRequest {
@@ -65,6 +71,7 @@ impl Default for RecordingRequest {
             keep_frames: false,
             keep_stages: false,
             seed: 1,
+            detectors: None,
         }
     }
 }
@@ -107,6 +114,15 @@ impl RecordingRequest {
         }
         let centre_nm = [0.5 * (x0 + x1), 0.5 * (y0 + y1)];
         Ok(RecordedPart { centre_nm, size_nm: [x1 - x0, y1 - y0], pixel_nm })
+    }
+
+    /// Returns the detectors that record, the first one first.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for an unknown name.
+    pub fn detectors_of(&self, recipe: &CheckedRecipe) -> Result<Vec<Detector>> {
+        let found = recorded_detectors(recipe, self.detectors.as_deref())?;
+        Ok(found.into_iter().map(|one| one.shown.detector).collect())
     }
 
     /// Returns the table `[acquisition]` of a recipe, with the values of the request.
@@ -163,6 +179,7 @@ pub struct RecordingJob {
     specimen: Arc<dyn Specimen>,
     part: RecordedPart,
     options: RecordingOptions,
+    detectors: Vec<RecordedDetector>,
 }
 
 impl RecordingJob {
@@ -176,13 +193,18 @@ impl RecordingJob {
         request: &RecordingRequest,
     ) -> Result<Self> {
         let table = request.table(recipe);
-        let mut changed = Recipe { acquisition: Some(table), ..recipe.recipe().clone() };
-        if world.is_none() {
-            changed.detector = changed.detector.main_alone();
-        }
-        let recipe = changed.checked()?;
+        let detectors = recorded_detectors(recipe, request.detectors.as_deref())?;
+        let changed = Recipe { acquisition: Some(table), ..recipe.recipe().clone() };
+        let recipe = match &world {
+            Some(_) => changed.checked()?,
+            None => recorded_recipe(changed, &detectors)?,
+        };
         let (part, options) = (request.part(&recipe)?, request.options(&recipe)?);
-        Ok(RecordingJob { specimen: specimen(&recipe)?, recipe, made, world, part, options })
+        if options.acquisition.contamination_angstrom3_per_electron > 0.0 {
+            check_carbon(&detectors, &recipe)?;
+        }
+        let specimen = specimen(&recipe)?;
+        Ok(RecordingJob { specimen, recipe, made, world, part, options, detectors })
     }
 
     /// Returns the recipe with the values of the request.
@@ -202,9 +224,7 @@ impl RecordingJob {
     pub fn plan(&self, cache: Cache) -> Result<Option<ImagePlan>> {
         let RecordingJob { recipe, specimen, part, .. } = self;
         let parts = refinement(recipe);
-        if let Some(path) = self.world.as_ref().filter(|_| parts == 1)
-            && WorldFile::open(path)?.has_clean()
-        {
+        if parts == 1 && self.world_with_images()?.is_some() {
             return Ok(None);
         }
         let fine = refined(recipe, parts)?;
@@ -226,22 +246,36 @@ impl RecordingJob {
         cache: Cache,
         progress: &dyn Progress,
     ) -> Result<(FieldRecording, RecordedFrom)> {
-        let RecordingJob { recipe, specimen, part, options, .. } = self;
+        let RecordingJob { recipe, specimen, part, options, detectors, .. } = self;
+        let recorded = |source: &dyn NoiseFree| {
+            let specimen = self.specimen();
+            let field = RecordedField { recipe, specimen, source, detectors, carbon: None };
+            field.record_clean(part, options, progress)
+        };
         let parts = refinement(recipe);
-        if let Some(path) = self.world.as_ref().filter(|_| parts == 1) {
-            let world = WorldFile::open(path)?;
-            if world.has_clean() {
-                let source = WorldSource { world: &world, recipe };
-                let recording = record(recipe, &**specimen, &source, part, options, progress)?;
-                return Ok((recording, RecordedFrom::World));
-            }
+        if parts == 1
+            && let Some(world) = self.world_with_images()?
+        {
+            let source = WorldSource { world: &world, recipe };
+            return Ok((recorded(&source)?, RecordedFrom::World));
         }
         let fine = refined(recipe, parts)?;
         let mut imager = imaging_of(&fine, self.made.as_ref(), cache)?.imager(&fine, specimen)?;
         imager.prepare(progress)?;
         let source = ImagerSource { imager: &*imager, recipe: &fine };
-        let recording = record(recipe, &**specimen, &source, part, options, progress)?;
-        Ok((recording, RecordedFrom::Recipe))
+        Ok((recorded(&source)?, RecordedFrom::Recipe))
+    }
+
+    /// Opens the world if it holds the noise-free images of all detectors. No world holds those that a centre of mass is made of.
+    fn world_with_images(&self) -> Result<Option<WorldFile>> {
+        let Some(path) = &self.world else { return Ok(None) };
+        let world = WorldFile::open(path)?;
+        let mut all = world.has_clean();
+        for one in self.detectors.iter().filter(|one| one.shown.number > 0) {
+            let name = &one.shown.detector.name;
+            all = all && one.shown.axis.is_none() && world.on_detector(name)?.has_clean();
+        }
+        Ok(all.then_some(world))
     }
 }
 

@@ -31,6 +31,7 @@ mod regions;
 mod replay;
 mod samples;
 mod scores;
+mod several_detectors;
 #[path = "../common/skipped.rs"]
 mod skipped;
 mod specimen;

@@ -2,15 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use hdf5::{Dataset, File};
+use hdf5::{Dataset, File, Group};
 use ndarray::{Array2, Axis, Ix3};
 
 use crate::error::{Error, Result};
 use crate::io::hdf5::hdf5_guard::{
-    Guarded, check_bytes, check_storage, damaged, datasets, number, pair, text,
+    Guarded, check_bytes, check_storage, damaged, datasets, number, pair, text, texts,
 };
 use crate::io::hdf5::hdf5_open::{self, regular_file};
 use crate::io::hdf5::hdf5_values;
+use crate::io::hdf5::worlds::schema;
 use crate::lengths;
 
 /// Kind of a file of images.
@@ -35,7 +36,7 @@ pub struct StoredImages {
     pub request: Option<String>,
     /// SHA-256 of the structure file that simulated images were made from.
     pub structure_sha256: Option<String>,
-    /// Names of the images, in the order of the file.
+    /// Names of the images, in the order of the file. Recordings of several detectors have the names of the detectors too.
     pub names: Vec<String>,
 }
 
@@ -75,7 +76,13 @@ impl StoredImages {
                     all.iter().filter_map(|n| n.trim_start_matches('/').strip_prefix("images/"));
                 images.map(str::to_owned).collect()
             }
-            ImageKind::Recording => [RECORDING, IDEAL].map(str::to_owned).to_vec(),
+            ImageKind::Recording => {
+                let group = file.group(schema::DETECTORS).ok();
+                let of = |g: &Group| g.attr("names").map_or(0, |names| names.size());
+                let detectors = group.and_then(|g| texts(&g, "names", of(&g))).unwrap_or_default();
+                let plain = detectors.into_iter().filter(|name| !name.contains('/'));
+                [RECORDING, IDEAL].map(str::to_owned).into_iter().chain(plain).collect()
+            }
         };
         if names.is_empty() {
             return Err(refused("holds no images".into()));
@@ -97,17 +104,33 @@ impl StoredImages {
     /// # Errors
     /// [`Error::Parse`] for a name or a number that the file does not have, and for damaged values.
     pub fn image(&self, name: &str, index: Option<usize>) -> Result<StoredImage> {
-        self.read(name, index)
+        self.read((name, false), index)
             .map_err(|fault| Error::parse(&self.path, 0, format!("/{name}: {fault}")))
     }
 
-    fn read(&self, name: &str, index: Option<usize>) -> Guarded<StoredImage> {
+    /// Reads the noise-free image of a detector of a recording.
+    ///
+    /// # Errors
+    /// As [`StoredImages::image`].
+    pub fn ideal(&self, detector: &str) -> Result<StoredImage> {
+        self.read((detector, true), None)
+            .map_err(|fault| Error::parse(&self.path, 0, format!("/{detector}: {fault}")))
+    }
+
+    fn read(&self, (name, ideal): (&str, bool), index: Option<usize>) -> Guarded<StoredImage> {
         if !self.names.iter().any(|known| known == name) {
             return Err(format!("does not exist; the file contains {}", self.names.join(", ")));
         }
-        let at = match self.kind {
-            ImageKind::Simulated => format!("images/{name}"),
-            ImageKind::Recording => name.to_owned(),
+        let at = match (self.kind, name) {
+            (ImageKind::Simulated, _) => format!("images/{name}"),
+            (ImageKind::Recording, RECORDING | IDEAL) => name.to_owned(),
+            (ImageKind::Recording, _) => {
+                format!(
+                    "{}/{}",
+                    schema::detector_group(name),
+                    if ideal { IDEAL } else { RECORDING }
+                )
+            }
         };
         let dataset = self.file.dataset(&at).map_err(damaged)?;
         check_storage(&dataset, self.bytes)?;

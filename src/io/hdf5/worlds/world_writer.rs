@@ -289,16 +289,7 @@ fn write_detectors(file: &File, detectors: &[Detector], keep_clean: bool) -> hdf
     all.new_attr_builder().with_data(&names).create("names")?;
     for (n, detector) in detectors.iter().enumerate() {
         let group = hdf5_create::group(&all, &detector.name)?;
-        number(&group, "inner_mrad", detector.inner_mrad)?;
-        number(&group, "outer_mrad", detector.outer_mrad)?;
-        if let Some(sector) = detector.sector_degrees {
-            group.new_attr_builder().with_data(&sector).create("sector_degrees")?;
-        }
-        match detector.centre_of_mass {
-            Some(CentreOfMass::X) => text(&group, schema::CENTRE_OF_MASS, "x")?,
-            Some(CentreOfMass::Y) => text(&group, schema::CENTRE_OF_MASS, "y")?,
-            _ => {}
-        }
+        write_angles(&group, detector)?;
         if n == 0 {
             let clean = keep_clean.then_some(schema::CLEAN);
             for name in [schema::TILES, schema::OVERVIEW].into_iter().chain(clean) {
@@ -307,6 +298,20 @@ fn write_detectors(file: &File, detectors: &[Detector], keep_clean: bool) -> hdf
         }
     }
     Ok(())
+}
+
+/// Writes the angles of a detector as attributes of its group.
+pub(super) fn write_angles(group: &Group, detector: &Detector) -> hdf5::Result<()> {
+    number(group, "inner_mrad", detector.inner_mrad)?;
+    number(group, "outer_mrad", detector.outer_mrad)?;
+    if let Some(sector) = detector.sector_degrees {
+        group.new_attr_builder().with_data(&sector).create("sector_degrees")?;
+    }
+    match detector.centre_of_mass {
+        Some(CentreOfMass::X) => text(group, schema::CENTRE_OF_MASS, "x"),
+        Some(CentreOfMass::Y) => text(group, schema::CENTRE_OF_MASS, "y"),
+        _ => Ok(()),
+    }
 }
 
 fn write_tile(group: &Group, row: usize, col: usize, pixels: ArrayView2<f32>) -> hdf5::Result<()> {
