@@ -50,8 +50,12 @@ impl AccuracyReport {
 
     /// Adds the report to a table.
     pub fn line(&self, lines: &mut Lines) {
-        let chosen = self.found.algorithm.to_string();
+        // The text names the exact engine, but no window.
+        let window = match self.found.holds {
+            true => format!("; {}", self.found.algorithm),
+            false => String::new(),
+        };
         let took = text::duration(self.measured_in_s);
-        lines.add("accuracy", format!("{}; {chosen}; measured in {took}", self.found.text()));
+        lines.add("accuracy", format!("{}{window}; measured in {took}", self.found.text()));
     }
 }

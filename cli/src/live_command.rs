@@ -315,7 +315,8 @@ impl LiveSummary {
         let lost: Vec<String> =
             self.lost.iter().map(|(e, n)| format!("{} {e}", text::count(*n))).collect();
         let lost = if lost.is_empty() { "nothing".into() } else { lost.join(", ") };
-        lines.add("lost", format!("{lost}, about {} columns", text::count(self.columns as u64)));
+        let columns = text::count(self.columns as u64);
+        lines.add("lost", format!("{lost}; the first image shows {columns} columns"));
         lines.add("time", text::duration(self.wall_time_s));
         let size = text::bytes(self.file_bytes);
         lines.add("file", format!("{} ({size})", self.output.display()));

@@ -16,11 +16,13 @@ pub fn text_of(plan: &WorldPlan) -> String {
     let [h, w] = plan.subtile_nm;
     lines.add("sub-tiles", format!("{} of {h:.2} x {w:.2} nm", plan.subtiles));
     let [x, y] = plan.probe_step_angstrom;
-    let number = match plan.particle_probes {
-        Some(n) => format!("{} for the particles", text::count(n as u64)),
-        None => format!("{} per sub-tile", text::count(plan.plan.probes as u64)),
+    let number = match (plan.particle_probes, plan.plan.probes) {
+        (Some(n), _) => format!("{} for the particles, ", text::count(n as u64)),
+        // All probes belong to the library.
+        (None, 0) => String::new(),
+        (None, n) => format!("{} per sub-tile, ", text::count(n as u64)),
     };
-    lines.add("probes", format!("{number}, {x:.4} x {y:.4} A apart"));
+    lines.add("probes", format!("{number}{x:.4} x {y:.4} A apart"));
     plan_text::numerics(&plan.plan, &mut lines);
     if let Some(mosaic) = &plan.mosaic {
         lines.add("mosaic", mosaic_line(mosaic, plan.mosaic_used));

@@ -6,7 +6,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import torch
+
+try:
+    import torch
+except ModuleNotFoundError as _missing:
+    raise ModuleNotFoundError("stemworlds.torch needs PyTorch: pip install torch", name=_missing.name) from None
+
 from torch.utils.data import IterableDataset, get_worker_info
 
 from .streaming import Sample, Stream

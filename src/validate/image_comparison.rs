@@ -28,6 +28,8 @@ const FOUND: f64 = 1e-3;
 
 /// Rms difference, as a fraction of the mean, below which a factor or an orientation counts as the explanation.
 const CLEAR: f64 = 0.02;
+/// Rms difference, as a fraction of the mean, above which no change counts as the explanation, however much it improves.
+const UNEXPLAINED: f64 = 0.1;
 /// A setting that does not explain a difference is still named if it makes the difference smaller by this factor.
 const PARTLY: f64 = 1.5;
 
@@ -179,7 +181,10 @@ fn explained(
         if let Some(likely) = likely_settings(progress, c, ours, reference, fitted)? {
             findings.checks.extend(checks_of(&likely));
             match likely.tried.first() {
-                Some(best) if best.rms * MUCH_BETTER < likely.now.min(left_in_place) => {
+                Some(best)
+                    if best.rms < UNEXPLAINED
+                        && best.rms * MUCH_BETTER < likely.now.min(left_in_place) =>
+                {
                     return Ok(explanation(&likely, best));
                 }
                 best => partly = best.filter(|b| b.rms * PARTLY < likely.now).cloned(),
@@ -263,7 +268,8 @@ fn explained_by_place(
         Some(_) => "; are its values fractions of the beam? Otherwise let the factor be fitted",
         None => "",
     };
-    let verb = if best.rms * MUCH_BETTER < found.now { "explains" } else { "does not explain" };
+    let explains = best.rms < UNEXPLAINED && best.rms * MUCH_BETTER < found.now;
+    let verb = if explains { "explains" } else { "does not explain" };
     Ok(format!(
         "{} {verb} the difference: rms {:.2} % of the mean in place of {now:.2} %{start}{fit}",
         best.words(step),

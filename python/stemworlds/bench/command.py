@@ -30,7 +30,8 @@ _EXAMPLES = """examples:
   stemworlds bench leaderboard main.jsonl mine.jsonl"""
 _RUN = """Play all episodes of an experiment that are not in the file of results yet. Each result is appended at the end of its episode,
 so the same command continues an interrupted run. Episodes that end with an error are printed; the next run plays them again.
-The first episode in a material computes its library, which takes minutes. Later runs read it from the cache."""
+The first episode in a material computes its library, unless the library is installed. This takes minutes.
+Later runs read the library from the cache."""
 _RUN_EXAMPLES = """examples:
   stemworlds bench run quick --out quick.jsonl
   stemworlds bench run my-agents.toml --out mine.jsonl --processes 8

@@ -41,6 +41,8 @@ Row = dict[str, Any]
 Make: TypeAlias = "Callable[[Episode], gym.Env[Any, Any]]"
 #: Number of queued episodes of a process. It plays the second while the row of the first is written.
 _AT_ONCE = 2
+#: The end of notes about libraries.
+_LIBRARY_TAKES = "takes minutes if it is neither installed nor in the cache"
 #: Option of Linux: this process gets a signal when its parent ends.
 _PR_SET_PDEATHSIG = 1
 
@@ -99,8 +101,11 @@ def run_experiment(
         shown = Progress(len(open_episodes), summary.skipped, progress)
         count = min(processes or _processors(), max(len(open_episodes), 1))
         try:
-            if count > 1 and make is None:
-                _fill_libraries(open_episodes, shown)
+            if make is None:
+                if count > 1:
+                    _fill_libraries(open_episodes, shown)
+                elif any("recipe" in episode.world for episode in open_episodes):
+                    shown.note(f"first episode: its library {_LIBRARY_TAKES}")
             for row in _played(open_episodes, count, experiment.name, make or _environment):
                 if "error" in row:
                     summary.failed.append(row["error"])
@@ -249,7 +254,7 @@ def _fill_libraries(episodes: Sequence[Episode], shown: Progress) -> None:
     """Makes each world of a recipe once, on all processors. Otherwise each process would simulate the library."""
     worlds = {json.dumps(episode.world, sort_keys=True): episode for episode in episodes if "recipe" in episode.world}
     for number, episode in enumerate(worlds.values(), 1):
-        shown.note(f"library of {episode.world['name']}, {number} of {len(worlds)} (minutes where it is not in the cache)")
+        shown.note(f"library of {episode.world['name']}, {number} of {len(worlds)}: it {_LIBRARY_TAKES}")
         # If a world cannot be made, its episodes report the error.
         with contextlib.suppress(Exception):
             _environment(episode).close()

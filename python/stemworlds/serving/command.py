@@ -48,7 +48,10 @@ def parser() -> argparse.ArgumentParser:
     )
     made.add_argument("--current", type=float, default=20.0, metavar="PA", help="current of the beam in pA (default: %(default)s)")
     made.add_argument(
-        "--most-dose", type=float, default=1e6, help="greatest total dose of a place, in electrons per square Angstrom (default: 1e6)"
+        "--most-dose",
+        type=float,
+        default=1e6,
+        help="greatest total dose of a place, in electrons per square Angstrom; a smaller dose starts sooner (default: 1e6)",
     )
     made.add_argument("--threads", type=int, help="number of threads (default: all processors)")
     return made
@@ -65,7 +68,11 @@ def main(arguments: list[str]) -> int:
         checked_current(given.current)
 
         def microscope() -> Microscope:
-            print(f"making the specimen of {changed['id']}; its library takes minutes the first time", file=sys.stderr)
+            print(
+                f"making the specimen of {changed['id']}: library images that are neither installed nor cached take minutes; "
+                "a smaller --most-dose needs fewer",
+                file=sys.stderr,
+            )
             world = LiveWorld(changed, most_dose=given.most_dose, threads=given.threads, progress=True)
             return Microscope(world, profile=given.profile, fov_angstrom=given.fov, current_pa=given.current)
 

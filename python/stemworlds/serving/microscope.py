@@ -81,7 +81,7 @@ class Microscope:
         """
         does = self._verbs().get(verb)
         if does is None:
-            raise ValueError(f"unknown verb {reprlib.repr(verb)}; discover_commands lists those that there are")
+            raise ValueError(f"unknown verb {reprlib.repr(verb)}; discover_commands lists all verbs")
         takes = _TAKES.get(verb, set(arguments))
         unknown = sorted(set(arguments) - takes)
         if unknown:
