@@ -27,7 +27,7 @@ use std::collections::hash_map::Entry;
 use std::ops::Range;
 use std::sync::Arc;
 
-use patch_waves::{Coefficients, Expansion, PatchProbes, PatchWaves};
+use patch_waves::{Coefficients, PatchProbes, PatchWaves, WavesIn};
 
 /// Propagates probes through given transmission functions.
 pub(super) struct Multislice<'a> {
@@ -206,10 +206,10 @@ impl<'a> Multislice<'a> {
             return Some(waves.clone());
         }
         let waves = Arc::new(PatchWaves::new(match &self.bright {
-            Some(bright) => Expansion::Box(bright.tail.shared(bright.padded(), half, error)),
+            Some(bright) => WavesIn::Box(bright.tail.shared(bright.padded(), half, error)),
             None => {
                 let nyquist = amplitude_nyquist(self.plan);
-                Expansion::Window(Basis::new(&probes, half, nyquist, error))
+                WavesIn::Window(Basis::new(&probes, half, nyquist, error))
             }
         }));
         self.waves = Some((half, waves.clone()));
@@ -218,16 +218,16 @@ impl<'a> Multislice<'a> {
 
     /// The coefficients of probes on the waves of their patch.
     fn coefficients(&self, waves: &PatchWaves, probes: &PatchProbes) -> Arc<Coefficients> {
-        waves.coefficients(probes, self.probes.len(), |expansion| match (expansion, &self.bright) {
-            (Expansion::Box(shared), Some(bright)) => bright.tail.coefficients(shared, probes),
-            (Expansion::Window(basis), _) => {
+        waves.coefficients(probes, self.probes.len(), |made_in| match (made_in, &self.bright) {
+            (WavesIn::Box(shared), Some(bright)) => bright.tail.coefficients(shared, probes),
+            (WavesIn::Window(basis), _) => {
                 let at_foci = self
                     .probes
                     .iter()
                     .filter_map(|(weight, probe)| Some((*weight, probe.cropped()?)));
                 at_foci.map(|(weight, probe)| (weight, basis.coefficients(probe, probes))).collect()
             }
-            (Expansion::Box(_), None) => Vec::new(),
+            (WavesIn::Box(_), None) => Vec::new(),
         })
     }
 

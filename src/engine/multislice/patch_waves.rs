@@ -16,12 +16,12 @@ const ROOM_BYTES: usize = 64 << 20;
 
 /// Waves that are propagated in place of a patch's probes.
 pub(super) struct PatchWaves {
-    expansion: Expansion,
+    waves: WavesIn,
     kept: KeptWithin<Vec<[u64; 2]>, Coefficients>,
 }
 
 /// Where waves are defined.
-pub(super) enum Expansion {
+pub(super) enum WavesIn {
     /// In the window.
     Window(Basis),
     /// In the box around the window, for detectors that read the coherent tail.
@@ -29,31 +29,31 @@ pub(super) enum Expansion {
 }
 
 impl PatchWaves {
-    pub fn new(expansion: Expansion) -> Self {
-        PatchWaves { expansion, kept: KeptWithin::new(ROOM_BYTES) }
+    pub fn new(waves: WavesIn) -> Self {
+        PatchWaves { waves, kept: KeptWithin::new(ROOM_BYTES) }
     }
 
     /// Number of waves.
     pub fn len(&self) -> usize {
-        match &self.expansion {
-            Expansion::Window(basis) => basis.len(),
-            Expansion::Box(shared) => shared.len(),
+        match &self.waves {
+            WavesIn::Window(basis) => basis.len(),
+            WavesIn::Box(shared) => shared.len(),
         }
     }
 
     /// Coefficients of wave `j` on the window's bins.
     pub fn inside(&self, j: usize) -> &[Complex32] {
-        match &self.expansion {
-            Expansion::Window(basis) => basis.wave(j),
-            Expansion::Box(shared) => &shared.inside[j],
+        match &self.waves {
+            WavesIn::Window(basis) => basis.wave(j),
+            WavesIn::Box(shared) => &shared.inside[j],
         }
     }
 
     /// The part of wave `j` outside the window, if it is known.
     pub fn outside(&self, j: usize) -> Option<&[Complex32]> {
-        match &self.expansion {
-            Expansion::Window(_) => None,
-            Expansion::Box(shared) => Some(&shared.outside[j]),
+        match &self.waves {
+            WavesIn::Window(_) => None,
+            WavesIn::Box(shared) => Some(&shared.outside[j]),
         }
     }
 
@@ -62,10 +62,10 @@ impl PatchWaves {
         &self,
         probes: &PatchProbes,
         foci: usize,
-        make: impl FnOnce(&Expansion) -> Coefficients,
+        make: impl FnOnce(&WavesIn) -> Coefficients,
     ) -> Arc<Coefficients> {
         let key = probes.iter().map(|(_, position)| position.map(f64::to_bits)).collect();
         let bytes = size_of::<Complex32>() * self.len() * probes.len() * foci;
-        self.kept.get(key, bytes, || make(&self.expansion))
+        self.kept.get(key, bytes, || make(&self.waves))
     }
 }
