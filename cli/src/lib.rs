@@ -90,8 +90,8 @@ Examples:
     stemgen tiles worlds/srtio3_easy_2x2.h5 --random-dose 1e3,1e5 -n 200 -o train.npz
   Record a tile as a microscope does, or a specimen that loses atoms under the beam:
     stemgen acquire worlds/srtio3_easy_2x2.h5 --profile routine -o tile.h5 --png
-    stemgen live srtio3 --difficulty easy --grid 4x4 --dose-series 20 --dose 5e4 -o dying.h5 \\
-      --animation
+    stemgen live mos2 --difficulty easy --grid 1x1 --set optics.energy_kv=120 --dose-series 10 \\
+      --dose 1e5 -o dying.h5 --animation
   Check the program against its references:
     stemgen validate --quick
 

@@ -27,9 +27,9 @@ use stemgen::world::{BuildOptions, Electrons, ImagePlan, RecordedPart};
 
 const EXAMPLES: &str = "\
 Examples:
-  SrTiO3 that loses oxygen: 20 recordings at 5e4 electrons per square Angstrom, and an animation:
-    stemgen live srtio3 --difficulty easy --grid 4x4 --dose-series 20 --dose 5e4 -o dying.h5 \\
-      --animation
+  MoS2 at 120 kV that loses sulphur: 10 recordings at 1e5 electrons per square Angstrom, and an animation:
+    stemgen live mos2 --difficulty easy --grid 1x1 --set optics.energy_kv=120 --dose-series 10 \\
+      --dose 1e5 -o dying.h5 --animation
   Silicon at 200 kV, which knocks its atoms out, with the profile of a good microscope:
     stemgen live sige --difficulty easy --grid 4x4 --set alloy.rate=0 --profile routine \\
       --dose-series 30 --dose 2e5 -o silicon.h5 --animation

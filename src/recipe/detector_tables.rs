@@ -405,7 +405,7 @@ mod tests {
         assert_eq!(recipe.detector.measured(), with(TWO).unwrap().detector.measured());
         for (value, part) in [
             (own("{bits=9}"), "detector.acquisition.bits"),
-            (own("{frames=2}"), "unknown field"),
+            (own("{frames=2}"), "unknown key `frames`"),
             (TWO.replace("200}", "200,acquisition={bits=8}}"), "values of the table [acquisition]"),
             (own("{bits=8},centre_of_mass=true"), "counts single electrons"),
         ] {

@@ -15,7 +15,7 @@ pub(crate) struct DetectorRecorder<'a> {
     own: &'a RecordedDetector,
     settings: Acquisition,
     recorder: Recorder,
-    /// Places of its measured images among those of all detectors.
+    /// Places of its measured images among the images of all detectors.
     images: Vec<usize>,
 }
 
@@ -28,7 +28,7 @@ pub(crate) fn numbers_of(detectors: &[RecordedDetector]) -> Vec<usize> {
 }
 
 impl<'a> DetectorRecorder<'a> {
-    /// Takes the path of a scan; `numbers` are those of the measured images, as [`numbers_of`] gives them.
+    /// Takes the path of a scan; `numbers` are the numbers of the measured images, as [`numbers_of`] gives them.
     pub fn new(
         own: &'a RecordedDetector,
         scan: &Recorder,

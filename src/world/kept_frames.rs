@@ -67,7 +67,7 @@ impl KeptFrames {
         self.clipped += rows.clipped;
     }
 
-    /// Ends the recording: mean angles become those of the electrons of all added frames.
+    /// Ends the recording: a mean angle becomes the mean over the electrons of all added frames.
     #[must_use]
     pub fn finished(mut self) -> Self {
         if let Some(electrons) = self.electrons.take() {

@@ -72,7 +72,7 @@ fn a_straight_raster_has_the_pixels_of_the_field_and_a_turned_one_its_places() {
     let pixels = PixelRect::new([100, 90], [30, 36]);
     let straight = raster(field, &pixels);
     let imagers: [&dyn RegionImager; 2] = [&field.direct, &field.mosaic];
-    for (imager, most) in imagers.into_iter().zip([0.5, 1e-6]) {
+    for (imager, most) in imagers.into_iter().zip([0.6, 1e-6]) {
         let image =
             |raster: &TurnedRaster| turned_image(&field.recipe, imager, raster, &Silent).unwrap();
         let ours = image(&straight);
