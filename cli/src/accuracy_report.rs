@@ -12,12 +12,15 @@ pub struct AccuracyReport {
     #[serde(flatten)]
     found: AccuracyFound,
     measured_in_s: f64,
+    /// The defocus, in a series.
+    #[serde(skip)]
+    defocus_angstrom: Option<f64>,
 }
 
 impl AccuracyReport {
-    /// Makes the report of an accuracy that was found in `measured_in_s` seconds.
-    pub fn new(found: AccuracyFound, measured_in_s: f64) -> Self {
-        AccuracyReport { found, measured_in_s }
+    /// Makes the report of an accuracy that was found in `measured_in_s` seconds, of a defocus of a series.
+    pub fn new(found: AccuracyFound, measured_in_s: f64, defocus_angstrom: Option<f64>) -> Self {
+        AccuracyReport { found, measured_in_s, defocus_angstrom }
     }
 
     /// Returns a warning before the exact engine runs: the reason, and the expected time. `None` if a window is used.
@@ -56,6 +59,7 @@ impl AccuracyReport {
             false => String::new(),
         };
         let took = text::duration(self.measured_in_s);
-        lines.add("accuracy", format!("{}{window}; measured in {took}", self.found.text()));
+        let of = self.defocus_angstrom.map_or(String::new(), |d| format!("defocus {d} A: "));
+        lines.add("accuracy", format!("{of}{}{window}; measured in {took}", self.found.text()));
     }
 }

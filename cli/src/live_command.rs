@@ -27,7 +27,7 @@ use stemgen::world::{BuildOptions, Electrons, ImagePlan, RecordedPart};
 
 const EXAMPLES: &str = "\
 Examples:
-  MoS2 at 120 kV that loses sulphur: 10 recordings at 1e5 electrons per square Angstrom, and an animation:
+  MoS2 at 120 kV loses sulphur: 10 recordings at 1e5 electrons per square Angstrom, animated:
     stemgen live mos2 --difficulty easy --grid 1x1 --set optics.energy_kv=120 --dose-series 10 \\
       --dose 1e5 -o dying.h5 --animation
   Silicon at 200 kV, which knocks its atoms out, with the profile of a good microscope:

@@ -274,8 +274,11 @@ impl SimulateRun {
             false => self.job.choose_accuracy(reporter)?,
         }
         let each_s = begun.elapsed().as_secs_f64() / self.job.accuracies().len().max(1) as f64;
-        let found = self.job.accuracies().iter().cloned();
-        self.accuracies = found.map(|found| AccuracyReport::new(found, each_s)).collect();
+        let foci = &self.job.request().microscope.defocus_angstrom;
+        let of = |n: usize| foci.get(n).copied().filter(|_| foci.len() > 1);
+        let found = self.job.accuracies().iter().cloned().enumerate();
+        let report = |(n, found)| AccuracyReport::new(found, each_s, of(n));
+        self.accuracies = found.map(report).collect();
         Ok(())
     }
 

@@ -67,6 +67,11 @@ impl ChosenImager {
         self.shares
     }
 
+    /// Whether the imager is a mosaic whose library was audited when it was made.
+    pub(crate) fn is_known(&self) -> bool {
+        self.known
+    }
+
     /// The cost of a field of `subtiles` parts, each of `subtile` (rows, columns) pixels.
     ///
     /// # Errors

@@ -132,6 +132,10 @@ impl WorldBuild {
     /// Errors of the settings.
     pub fn warnings(&self) -> Result<Vec<String>> {
         let mut warnings = self.policy.warnings.clone();
+        // The audit of an installed library has measured what the warning of the windows says is not measured.
+        if !warnings.is_empty() && self.own.is_none() && self.chosen()?.is_known() {
+            warnings.clear();
+        }
         // Only a recipe with a layer needs the imager here: choosing it looks at the whole field.
         if let Some(warning) = layer_warning(&self.layout.recipe)
             && self.own.is_none()
