@@ -401,6 +401,7 @@ worlds = [{name = "small", recipe = "test", set = {"field.thickness_nm" = 0.4}}]
 """
 
 
+@pytest.mark.long
 def test_experiments_and_reports_of_the_field(tmp_path: Path) -> None:
     (tmp_path / "e.toml").write_text(EXPERIMENT)
     out = tmp_path / "e.jsonl"

@@ -101,6 +101,7 @@ def test_mixtures_and_specimens_of_their_own() -> None:
     assert len({digest(sample) for sample in other.iterate(count=6)}) == 6
 
 
+@pytest.mark.long
 def test_samples_of_all_detectors() -> None:
     haadf = {"name": "HAADF", "inner_mrad": 68.0, "outer_mrad": 200.0}
     halves = {"name": "HALF", "inner_mrad": 50.0, "outer_mrad": 150.0, "sectors": 2, "first_sector_deg": 90.0}

@@ -155,6 +155,7 @@ def test_pictures_and_pages(world_path: Path, tmp_path: Path) -> None:
         sw.view(world, out=tmp_path / "w.png")
 
 
+@pytest.mark.long
 def test_detectors_have_names(tmp_path: Path, world_path: Path) -> None:
     angles = {"HAADF": (50.0, 90.0), "ABF": (11.0, 21.0)}
     tables = [{"name": name, "inner_mrad": low, "outer_mrad": high} for name, (low, high) in angles.items()]

@@ -47,6 +47,7 @@ fn made_again(arguments: &[&str]) -> String {
 }
 
 #[test]
+#[ignore = "long"]
 fn the_printed_command_makes_the_same_tiles_and_truth() {
     let tiny = file("tests/cli/tiny.toml");
     let small = ["test", "--grid", "1x1", "--set", "field.thickness_nm=0.4"];

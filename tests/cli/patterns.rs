@@ -434,7 +434,7 @@ fn mistakes_are_refused_with_the_remedy() {
     patterns(&["--engine", "prism"], "PRISM");
     patterns(&["--sampling", "0.4"], "--sampling");
     refused(&["patterns", "si.cif", "--pixels", "1"], "2 to 4096");
-    let large = ["--repeat", "40,40,1", "--pixels", "4096", "--scan-step", "0.01"];
+    let large = ["--repeat", "4,4,1", "--pixels", "4096", "--scan-step", "0.01"];
     refused(&[&["patterns", "si.cif"], &large[..]].concat(), "free");
     assert!(std::fs::read_dir(here).unwrap().count() == 1, "nothing is left");
     done(here, &[&["patterns", "si.cif"], SMALL].concat());

@@ -191,6 +191,7 @@ fn the_accuracy_asked_for_is_kept_with_phonons() {
 
 /// What is cropped off a probe falls on detectors that see the beam itself. The reference is a box of 82 A.
 #[test]
+#[ignore = "long"]
 fn detectors_in_the_beam_are_right_where_probes_are_cropped() {
     let detectors = vec![Detector::new("ABF", 10.5, 25.0), Detector::new("BF", 0.0, 30.0)];
     let base = Settings { detectors, grid: GridChoice::Sampling(0.05), ..Settings::default() };

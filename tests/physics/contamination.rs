@@ -177,6 +177,7 @@ fn values(image: &SourceImage, area: &Region) -> Vec<f64> {
 }
 
 #[test]
+#[ignore = "long"]
 fn threads_change_nothing() {
     let recipe = recipe(&[]);
     let with = |threads: usize| {

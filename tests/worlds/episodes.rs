@@ -314,6 +314,7 @@ fn worlds_in_use_are_shared() {
 
 /// An acquisition shows, and is scored by, the specimen as it was when it began.
 #[test]
+#[ignore = "long"]
 fn doses_change_worlds_for_later() {
     let changes = [
         "field.thickness_nm=0.4",

@@ -291,6 +291,7 @@ fn a_moment_of_uneven_doses_can_be_gone_back_to() {
 
 /// Many recordings in little memory: blocks are dropped, and come back the same.
 #[test]
+#[ignore = "long"]
 fn memory_is_bounded_and_images_do_not_depend_on_it() {
     let small = LiveOptions { image_bytes: 0, ..options(BuildMethod::Mosaic) };
     let mut tight = LiveWorld::new(&recipe(&[]), 7, &small, &Silent).unwrap();

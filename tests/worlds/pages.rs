@@ -74,6 +74,7 @@ fn explore(recipe: &Recipe, sigma: f64) {
 
 /// InGaN: wells, substitutions, more than one tile of the pyramid.
 #[test]
+#[ignore = "long"]
 fn the_page_of_wells_says_what_the_file_says() {
     let recipe = Recipe::load("gan", Difficulty::Easy).unwrap().with_grid(4, 5).unwrap();
     explore(&recipe, 0.5);

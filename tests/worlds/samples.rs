@@ -114,6 +114,7 @@ fn options() -> SampleOptions {
 
 /// Samples of a recipe with several detectors: the main image as without the others, which show the same place.
 #[test]
+#[ignore = "long"]
 fn samples_have_the_images_of_all_detectors_where_they_are_wanted() {
     let changes = [
         "detector=[{name=\"HAADF\",inner_mrad=68.0,outer_mrad=200.0},{name=\"MAADF\",inner_mrad=50.0,outer_mrad=150.0},\
