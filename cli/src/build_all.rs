@@ -188,7 +188,6 @@ fn is_this(build: &Build, recipe: &CheckedRecipe, path: &Path) -> anyhow::Result
 
 fn one(build: &Build, target: &Target, reporter: &Reporter) -> anyhow::Result<WorldResult> {
     let world = WorldBuild::new(&target.recipe, &build.options())?;
-    world.warnings()?.iter().for_each(|w| reporter.warn(&format!("{}: {w}", target.name)));
     let parts = (&target.recipe, world);
     if let Some(shard) = build.shard {
         let part = build.part(parts, &target.path, shard, reporter)?;

@@ -212,9 +212,9 @@ impl Build {
         }
         let recipe = self.recorded(self.recipe.resolve()?)?;
         let build = WorldBuild::new(&recipe, &self.options())?;
-        build.warnings()?.iter().for_each(|w| reporter.warn(w));
         let path = self.output(&recipe);
         if self.common.dry_run {
+            build.warnings()?.iter().for_each(|w| reporter.warn(w));
             stemgen::simulation::check_hdf5_name(&path)?;
             let report = WorldPlan::new(&recipe, &build, path)?;
             if reporter.interrupted() {
@@ -251,6 +251,7 @@ impl Build {
         stemgen::simulation::check_hdf5_name(path)?;
         check_outputs([path], self.recipe.files(recipe), false)
             .inspect_err(|_| remove_leftovers(path))?;
+        build.warnings()?.iter().for_each(|w| reporter.warn(w));
         self.check_memory(&build, reporter)?;
         ShardReport::of(build, path, shard, reporter).map_err(|e| with_what_is_kept(e, path))
     }
@@ -286,8 +287,10 @@ impl Build {
         });
         let companions: Vec<Companion> = draw.into_iter().chain(signals).collect();
         if !complete {
+            // The disk is checked first: the warnings may look at the whole field.
             build.check_disk(path, &companions)?;
-            WorldPlan::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
+            let warnings = build.warnings()?.into_iter().chain(WorldPlan::warnings(&build)?);
+            warnings.for_each(|w| reporter.warn(&w));
             self.check_memory(&build, reporter)?;
         }
         let summary =

@@ -108,7 +108,6 @@ impl Building {
     fn run(&self, call: &LongCall) -> Result<String, Fault> {
         let recipe = checked(&self.toml)?;
         let build = WorldBuild::new(&recipe, &self.options()?)?;
-        build.warnings()?.iter().for_each(|warning| call.warn(warning));
         let picture = self.png.then(|| self.out.with_extension("png"));
         let outputs = [Some(&self.out), picture.as_ref()].into_iter().flatten();
         let complete = build.is_complete(&self.out);
@@ -120,8 +119,8 @@ impl Building {
         });
         if !complete {
             build.check_disk(&self.out, companion.as_slice())?;
-            let warnings = WorldPlan::warnings(&build)?;
-            warnings.iter().for_each(|warning| call.warn(warning));
+            let warnings = build.warnings()?.into_iter().chain(WorldPlan::warnings(&build)?);
+            warnings.for_each(|warning| call.warn(&warning));
             let (needed, remedy) = build.memory(&build.cost()?, simulation::threads())?;
             match check_memory(needed, remedy) {
                 Err(e) if self.force => call.warn(&e.to_string()),
@@ -136,6 +135,7 @@ impl Building {
         let shard = Shard::new(shard[0], shard[1])?;
         let build = WorldBuild::new(&checked(&self.toml)?, &self.options()?)?;
         check_outputs([&self.out], [] as [&PathBuf; 0], false)?;
+        build.warnings()?.iter().for_each(|warning| call.warn(warning));
         let (needed, remedy) = build.memory(&build.cost()?, simulation::threads())?;
         match check_memory(needed, remedy) {
             Err(e) if self.force => call.warn(&e.to_string()),
