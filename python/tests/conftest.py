@@ -25,6 +25,8 @@ LONGEST_S = 1800
 
 #: Changes of a thin specimen of one grain that loses oxygen fast; its library is shared.
 DYING: dict[str, Any] = {"damage.radiolysis_barn.O": 60, "field.thickness_nm": 0.4, "boundaries.count": 0}
+#: A thin specimen of one grain for environments.
+RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4, "boundaries.count": 0}}
 #: A field of a tile and a thin specimen: seconds to build.
 TINY: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "phonons.configurations": 2, "boundaries.count": 0}, "grid": (1, 2), "seed": 5}
 
@@ -100,7 +102,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> str:
 def field_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """2 x 3 tiles for agents."""
     path = tmp_path_factory.mktemp("fields") / "w.h5"
-    sw.build("test", out=path, keep_clean=True, audit=0, set={"field.thickness_nm": 0.4, "boundaries.count": 0}).close()
+    sw.build("test", out=path, keep_clean=True, audit=0, set=RECIPE["set"]).close()
     return path
 
 

@@ -12,12 +12,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from bench_world import PAPER_TASKS
+from conftest import RECIPE
 from gymnasium.utils.env_checker import check_env
 
 import stemworlds as sw
 from stemworlds import bench
 
-RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4, "boundaries.count": 0}}
 
 
 def same(a: Any, b: Any) -> bool:

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from bench_world import PAPER_TASKS, PIXEL_NM, Lattice, acquired, facts, few_tiles
+from conftest import RECIPE
 
 import stemworlds as sw
 from stemworlds import bench
@@ -20,7 +21,6 @@ pytest.importorskip("sklearn")
 pytest.importorskip("skimage")
 
 __all__ = ["few_tiles"]
-RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4, "boundaries.count": 0}}
 
 
 def seen_of(tiles: list[bench.Acquired], grid: tuple[int, int] = (5, 6), **more: Any) -> bench.Seen:

@@ -13,6 +13,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from bench_world import Lattice, acquired, facts
+from conftest import RECIPE
 
 import stemworlds as sw
 from stemworlds import bench
@@ -29,7 +30,6 @@ stats = pytest.importorskip("scipy.stats")
 processes = pytest.importorskip("sklearn.gaussian_process")
 kernels = pytest.importorskip("sklearn.gaussian_process.kernels")
 
-RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4, "boundaries.count": 0}}
 OPTIONS: dict[str, Any] = {"split": "test", "overview": False, "budget": 600.0, **RECIPE}
 
 

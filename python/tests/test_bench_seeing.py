@@ -14,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from bench_world import acquired, few_tiles
+from conftest import RECIPE
 
 import stemworlds as sw
 from stemworlds import bench
@@ -30,7 +31,6 @@ __all__ = ["few_tiles"]
 metrics = pytest.importorskip("sklearn.metrics")
 stats = pytest.importorskip("scipy.stats")
 
-RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4, "boundaries.count": 0}}
 
 def test_average_precision_is_that_of_scikit_learn() -> None:
     for seed in range(20):

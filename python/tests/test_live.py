@@ -129,7 +129,6 @@ def test_detectors_record_the_same_electrons(tmp_path: Path) -> None:
         sw.acquire(tiny, detectors=["BF"])
 
 
-
 def test_a_live_world_has_the_chosen_detectors(library: str) -> None:
     # Images of several detectors need another library; that of the main one is shared with the other tests.
     tables = [{"name": "HAADF", "inner_mrad": 50.0, "outer_mrad": 90.0}, {"name": "ADF", "inner_mrad": 45.0, "outer_mrad": 70.0}]

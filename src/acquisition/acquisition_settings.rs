@@ -5,13 +5,18 @@ use serde::{Deserialize, Serialize};
 use super::profiles::Profile;
 use crate::setting::{Fault, check_range};
 
-/// Declares [`Acquisition`], and [`AcquisitionTable`], in which every value is optional.
+/// Declares [`Acquisition`] with the values of a scan and of a detector chain, [`AcquisitionTable`], in which every value is optional, and
+/// [`DetectorValues`], the optional values of a chain alone.
 macro_rules! acquisition {
-    ($($(#[doc = $doc:literal])* $name:ident: $kind:ty,)*) => {
+    (
+        scan { $($(#[doc = $scan_doc:literal])* $scan:ident: $scan_kind:ty,)* }
+        chain { $($(#[doc = $doc:literal])* $name:ident: $kind:ty,)* }
+    ) => {
         /// How a noise-free image is recorded.
         #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields)]
         pub struct Acquisition {
+            $($(#[doc = $scan_doc])* pub $scan: $scan_kind,)*
             $($(#[doc = $doc])* pub $name: $kind,)*
         }
 
@@ -22,6 +27,9 @@ macro_rules! acquisition {
             /// The profile of missing values; `ideal` when absent.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub profile: Option<Profile>,
+            $($(#[doc = $scan_doc])*
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub $scan: Option<$scan_kind>,)*
             $($(#[doc = $doc])*
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub $name: Option<$kind>,)*
@@ -31,56 +39,79 @@ macro_rules! acquisition {
             /// Fills in missing values from the profile.
             pub fn resolved(&self) -> Acquisition {
                 let base = self.profile.unwrap_or_default().acquisition();
-                Acquisition { $($name: self.$name.unwrap_or(base.$name),)* }
+                Acquisition {
+                    $($scan: self.$scan.unwrap_or(base.$scan),)*
+                    $($name: self.$name.unwrap_or(base.$name),)*
+                }
+            }
+        }
+
+        /// The table `acquisition` of a table `[[detector]]`: values of its detector chain that differ from `[acquisition]`.
+        #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct DetectorValues {
+            $($(#[doc = $doc])*
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub $name: Option<$kind>,)*
+        }
+
+        impl DetectorValues {
+            /// Returns the settings of a recording with these values.
+            pub(crate) fn over(&self, base: &Acquisition) -> Acquisition {
+                Acquisition { $($name: self.$name.unwrap_or(base.$name),)* ..*base }
             }
         }
     };
 }
 
 acquisition! {
-    /// Time on each pixel in microseconds.
-    dwell_us: f64,
-    /// Time from the last pixel of a line to the first of the next, in microseconds.
-    flyback_us: f64,
-    /// Number of frames among which the dose is shared.
-    frames: usize,
-    /// Velocity (x, y) of the specimen in nm/s.
-    drift_nm_per_s: [f64; 2],
-    /// Random walk of the specimen: standard deviation along each axis after one second, in nm.
-    drift_random_nm_per_sqrt_s: f64,
-    /// Random displacement of whole lines: standard deviation along each axis in Angstrom.
-    line_jitter_angstrom: f64,
-    /// Distance in Angstrom of the beam to the left of its intended place at the start of a line.
-    overshoot_angstrom: f64,
-    /// Time in which the overshoot falls to 1/e, in microseconds.
-    overshoot_decay_us: f64,
-    /// Frequency of the mains hum in Hz.
-    hum_hz: f64,
-    /// Amplitude (x, y) of the mains hum in Angstrom.
-    hum_angstrom: [f64; 2],
-    /// Excess size of the scan along (x, y), in per cent.
-    scale_percent: [f64; 2],
-    /// Displacement along x over distance along y, in per cent.
-    shear_percent: f64,
-    /// Volume of carbon in cubic Angstrom that each electron deposits on the specimen: the thickness in Angstrom that a dose of 1 e/A^2
-    /// adds to the exposed area. Frames show the carbon of earlier frames.
-    contamination_angstrom3_per_electron: f64,
-    /// Detective quantum efficiency: electrons give pulses of different height, of relative variance 1 / DQE - 1.
-    dqe: f64,
-    /// Share of the light that is emitted late.
-    afterglow_share: f64,
-    /// Time in which the late light falls to 1/e, in microseconds.
-    afterglow_us: f64,
-    /// Current s on the detector in pA at which half of the signal is lost: x becomes x / (1 + x / s). 0: the detector is linear.
-    saturation_pa: f64,
-    /// Counts of one electron.
-    gain_counts: f64,
-    /// Counts without electrons.
-    dark_counts: f64,
-    /// Standard deviation of the read-out noise of one pixel in counts.
-    read_noise_counts: f64,
-    /// Bits of the converter: 8, 12 or 16; 32 for single-precision numbers that are not rounded.
-    bits: u32,
+    scan {
+        /// Time on each pixel in microseconds.
+        dwell_us: f64,
+        /// Time from the last pixel of a line to the first of the next, in microseconds.
+        flyback_us: f64,
+        /// Number of frames among which the dose is shared.
+        frames: usize,
+        /// Velocity (x, y) of the specimen in nm/s.
+        drift_nm_per_s: [f64; 2],
+        /// Random walk of the specimen: standard deviation along each axis after one second, in nm.
+        drift_random_nm_per_sqrt_s: f64,
+        /// Random displacement of whole lines: standard deviation along each axis in Angstrom.
+        line_jitter_angstrom: f64,
+        /// Distance in Angstrom of the beam to the left of its intended place at the start of a line.
+        overshoot_angstrom: f64,
+        /// Time in which the overshoot falls to 1/e, in microseconds.
+        overshoot_decay_us: f64,
+        /// Frequency of the mains hum in Hz.
+        hum_hz: f64,
+        /// Amplitude (x, y) of the mains hum in Angstrom.
+        hum_angstrom: [f64; 2],
+        /// Excess size of the scan along (x, y), in per cent.
+        scale_percent: [f64; 2],
+        /// Displacement along x over distance along y, in per cent.
+        shear_percent: f64,
+        /// Volume of carbon in cubic Angstrom that each electron deposits on the specimen: the thickness in Angstrom that a dose of 1 e/A^2
+        /// adds to the exposed area. Frames show the carbon of earlier frames.
+        contamination_angstrom3_per_electron: f64,
+    }
+    chain {
+        /// Detective quantum efficiency: electrons give pulses of different height, of relative variance 1 / DQE - 1.
+        dqe: f64,
+        /// Share of the light that is emitted late.
+        afterglow_share: f64,
+        /// Time in which the late light falls to 1/e, in microseconds.
+        afterglow_us: f64,
+        /// Current s on the detector in pA at which half of the signal is lost: x becomes x / (1 + x / s). 0: the detector is linear.
+        saturation_pa: f64,
+        /// Counts of one electron.
+        gain_counts: f64,
+        /// Counts without electrons.
+        dark_counts: f64,
+        /// Standard deviation of the read-out noise of one pixel in counts.
+        read_noise_counts: f64,
+        /// Bits of the converter: 8, 12 or 16; 32 for single-precision numbers that are not rounded.
+        bits: u32,
+    }
 }
 
 /// Range of a value, with its key.

@@ -2,16 +2,14 @@
 
 mod acquisition_settings;
 mod detector_chain;
-mod detector_values;
 mod exposure;
 mod profiles;
 mod recorder;
 mod scan_path;
 mod source_image;
 
-pub use acquisition_settings::{Acquisition, AcquisitionTable};
+pub use acquisition_settings::{Acquisition, AcquisitionTable, DetectorValues};
 pub use detector_chain::DetectorChain;
-pub use detector_values::DetectorValues;
 pub use exposure::Exposure;
 pub use profiles::Profile;
 pub use recorder::{RecordedRows, Recorder, clipping_warning};

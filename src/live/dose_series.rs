@@ -108,11 +108,8 @@ impl LiveWorld {
 impl DoseSeries {
     /// Warnings of pixels that the converters clipped.
     pub fn clipping_warnings(&self) -> Vec<String> {
-        let mut all = self.first.clone();
-        all.exposure.frames *= self.data.len_of(Axis(0));
-        all.clipped = self.clipped;
-        all.others.iter_mut().zip(&self.others).for_each(|(to, own)| to.clipped = own.clipped);
-        all.clipping_warnings()
+        let clipped = std::iter::once(self.clipped).chain(self.others.iter().map(|o| o.clipped));
+        self.first.warnings_of(self.data.len_of(Axis(0)), clipped)
     }
 
     /// Allocates arrays for `count` recordings like the first.

@@ -176,17 +176,28 @@ impl FieldRecording {
 
     /// Warnings of pixels that the converters clipped.
     pub fn clipping_warnings(&self) -> Vec<String> {
+        self.warnings_of(
+            1,
+            std::iter::once(self.clipped).chain(self.others.iter().map(|one| one.clipped)),
+        )
+    }
+
+    /// Warnings of pixels that the converters clipped in a number of recordings like this; `clipped` is their number on each detector.
+    pub(crate) fn warnings_of(
+        &self,
+        recordings: usize,
+        clipped: impl Iterator<Item = u64>,
+    ) -> Vec<String> {
         let [rows, columns] = self.frame.shape;
-        let pixels = rows * columns * self.exposure.frames;
-        let one = |detector: &Detector, clipped, acquisition: &Acquisition| {
+        let pixels = recordings * rows * columns * self.exposure.frames;
+        let others = self.others.iter().map(|one| (&one.detector, &one.acquisition));
+        let all = std::iter::once((&self.detector, &self.options.acquisition)).chain(others);
+        let warning = |((detector, acquisition), clipped): ((&Detector, &Acquisition), u64)| {
             let warning = clipping_warning(clipped, pixels, acquisition.bits)?;
             let several = !self.others.is_empty();
             Some(if several { format!("{}: {warning}", detector.name) } else { warning })
         };
-        let first = one(&self.detector, self.clipped, &self.options.acquisition);
-        let others = self.others.iter();
-        let others = others.filter_map(|own| one(&own.detector, own.clipped, &own.acquisition));
-        first.into_iter().chain(others).collect()
+        all.zip(clipped).filter_map(warning).collect()
     }
 }
 

@@ -40,11 +40,7 @@ pub(crate) fn recorded_detectors(
     let tables = recipe.detector.tables_of_images();
     let all = shown.into_iter().zip(tables);
     let Some(names) = names else {
-        let own = |(shown, (_, values)): (ShownImage, (String, DetectorValues))| RecordedDetector {
-            shown,
-            values,
-        };
-        return Ok(all.map(own).collect());
+        return Ok(all.map(|(shown, (_, values))| RecordedDetector { shown, values }).collect());
     };
     let (mut known, mut found) = (Vec::new(), Vec::new());
     for (shown, (table, values)) in all {

@@ -118,7 +118,7 @@ fn a_file_and_its_recipe_are_the_same_world() {
         (defects, columns)
     };
     let (defects, columns) = sorted(&*file);
-    assert!(defects.len() > 1 && columns.len() > 50, "{} {}", defects.len(), columns.len());
+    assert!(defects.len() > 3 && columns.len() > 50, "{} {}", defects.len(), columns.len());
     assert_eq!((defects, columns), sorted(&made));
     let overview = |world: &dyn BenchmarkWorld| world.overview([0.5, 0.5], 64, &Silent).unwrap();
     let mean = |map: &Array2<f32>| f64::from(map.slice(ndarray::s![..31, ..31]).mean().unwrap());
