@@ -70,6 +70,7 @@ const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];
 const WEYL: [u32; 2] = [0x9E37_79B9, 0xBB67_AE85];
 
 /// The Philox4x32-10 bijection of a 128-bit counter under a 64-bit key.
+#[inline]
 pub(crate) fn philox4x32_10(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
     for round in 0..10 {
         if round > 0 {
@@ -90,6 +91,7 @@ pub(crate) fn philox4x32_10(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4
 /// Four random words for item `index` of stream (`seed`, `purpose`, `substream`).
 ///
 /// `substream` below 2^24: configuration number, draw number ...
+#[inline]
 pub fn words(seed: u64, purpose: Purpose, substream: u32, index: u64) -> [u32; 4] {
     debug_assert!(substream < 1 << 24);
     let counter = [index as u32, (index >> 32) as u32, substream | (purpose as u32) << 24, 0];
@@ -97,6 +99,7 @@ pub fn words(seed: u64, purpose: Purpose, substream: u32, index: u64) -> [u32; 4
 }
 
 /// A uniform number in (0, 1).
+#[inline]
 pub fn uniform(seed: u64, purpose: Purpose, substream: u32, index: u64) -> f64 {
     open_unit(words(seed, purpose, substream, index)[0])
 }
@@ -110,6 +113,7 @@ pub(crate) fn normal3(seed: u64, purpose: Purpose, substream: u32, index: u64) -
 }
 
 /// Converts a random word to a number between 0 and 1, without both.
+#[inline]
 pub(crate) fn open_unit(word: u32) -> f64 {
     (f64::from(word) + 0.5) / 4_294_967_296.0
 }
@@ -134,6 +138,7 @@ pub(crate) struct ItemRng {
 
 impl ItemRng {
     /// The generator of item `index`.
+    #[inline]
     pub(crate) fn new(seed: u64, purpose: Purpose, index: u64) -> Self {
         let counter = [index as u32, (index >> 32) as u32, (purpose as u32) << 24, 0];
         let key = [seed as u32, (seed >> 32) as u32];
@@ -143,6 +148,7 @@ impl ItemRng {
 
 impl TryRng for ItemRng {
     type Error = Infallible;
+    #[inline]
     fn try_next_u32(&mut self) -> std::result::Result<u32, Infallible> {
         if self.used == 4 {
             self.buffer = philox4x32_10(self.counter, self.key);
@@ -152,6 +158,7 @@ impl TryRng for ItemRng {
         self.used += 1;
         Ok(self.buffer[self.used - 1])
     }
+    #[inline]
     fn try_next_u64(&mut self) -> std::result::Result<u64, Infallible> {
         let low = u64::from(self.try_next_u32()?);
         Ok(low | u64::from(self.try_next_u32()?) << 32)

@@ -71,7 +71,7 @@ pub fn scan(scan: &Scan) -> String {
 
 /// Describes the beam and the lens in one line.
 pub fn beam(optics: &stemgen::optics::Optics) -> String {
-    let mut text = format!("{} keV, {} mrad", optics.energy_ev / 1e3, optics.semiangle_mrad);
+    let mut text = format!("{} keV, {} mrad", optics.energy_kev, optics.semiangle_mrad);
     // The sum of all defocus terms is printed, since abTEM's numerics add a second one of half a slice.
     let defocus = optics.aberrations.defocus_angstrom();
     if defocus != 0.0 {

@@ -267,7 +267,7 @@ impl SimulateRun {
         let mut facts = vec![
             ("atoms", specimen.sites.len().to_string()),
             ("box", format!("{x:.3} \u{d7} {y:.3} \u{d7} {z:.3} \u{c5}")),
-            ("beam", format!("{} keV, {} mrad", 1e-3 * optics.energy_ev, optics.semiangle_mrad)),
+            ("beam", format!("{} keV, {} mrad", optics.energy_kev, optics.semiangle_mrad)),
             ("phonons", phonons),
             ("stemgen", env!("CARGO_PKG_VERSION").to_owned()),
         ];
@@ -276,8 +276,8 @@ impl SimulateRun {
         }
         let source = request.microscope.source_size_angstrom;
         facts.extend(source.map(|s| ("source", format!("{s} \u{c5} (FWHM)"))));
-        if optics.mistilt_mrad != [0.0; 2] {
-            let [x, y] = optics.mistilt_mrad;
+        if optics.tilt_mrad != [0.0; 2] {
+            let [x, y] = optics.tilt_mrad;
             facts.push(("mistilt", format!("{x}, {y} mrad")));
         }
         if optics.focal_spread_angstrom > 0.0 {

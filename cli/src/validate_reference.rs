@@ -216,7 +216,7 @@ impl ReferenceArgs {
 fn agree(array: &ForeignArray, settings: &Settings) -> anyhow::Result<()> {
     let optics = &settings.optics;
     let stated = [
-        (array.energy_ev.map(|e| e / 1e3), optics.energy_ev / 1e3, "keV", "--energy"),
+        (array.energy_kev, optics.energy_kev, "keV", "--energy"),
         (array.semiangle_mrad, optics.semiangle_mrad, "mrad", "--semiangle"),
     ];
     for (stated, ours, unit, option) in stated {

@@ -56,7 +56,7 @@ impl PhaseGrating {
         };
         let table = settings.parametrization;
         let projector = Projector::new(grid.shape(), extent, table, elements, shape)?;
-        let sigma = interaction_parameter(settings.optics.energy_ev);
+        let sigma = interaction_parameter(settings.optics.energy_ev());
         let reach = grid.common_reach(plan.transmission_grid.points, plan.band_limit);
         let cores = core_cutoff
             .map(|cutoff| Cores::new(table, elements, extent, reach, cutoff, sigma))

@@ -155,7 +155,7 @@ impl Plan {
 
     /// Pixels (x, y) by which windows have moved at a height (Angstrom) to follow the beam.
     pub(super) fn window_shift(&self, height: f64) -> [i64; 2] {
-        if !self.has_windows() || self.settings.optics.mistilt_mrad == [0.0; 2] {
+        if !self.has_windows() || self.settings.optics.tilt_mrad == [0.0; 2] {
             return [0; 2];
         }
         let (shift, pixel) = (self.beam_shift(height), self.wave_grid.sampling_angstrom());

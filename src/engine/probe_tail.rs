@@ -190,7 +190,7 @@ fn cross_sections(plan: &Plan, sites: &[Site], detector: &Detector) -> Result<BT
     let optics = &plan.settings.optics;
     let per_mrad = 1e-3 / optics.wavelength_angstrom();
     let annuli = detector.annuli(plan.cutoff_mrad());
-    let sigma = interaction_parameter(optics.energy_ev);
+    let sigma = interaction_parameter(optics.energy_ev());
     let elements: BTreeSet<u8> = sites.iter().map(|s| s.number).collect();
     let section = |number: u8| {
         let factor = ScatteringFactor::new(plan.settings.parametrization, number)?;

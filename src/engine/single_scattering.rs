@@ -261,7 +261,7 @@ impl<'a> Integrals<'a> {
         let low = (inner - 2.0 * aperture).max(0.0);
         let step = (outer + 2.0 * aperture - low) / (2 * RADII) as f64;
         let ks: Vec<f64> = (0..=2 * RADII).map(|i| low + i as f64 * step).collect();
-        let amplitudes = amplitudes(&factor, interaction_parameter(optics.energy_ev), &ks);
+        let amplitudes = amplitudes(&factor, interaction_parameter(optics.energy_ev()), &ks);
         Ok(Integrals { detector, per_mrad, aperture, amplitudes, low, step })
     }
 

@@ -26,6 +26,8 @@ pub struct ImagerFacts {
     pub stage: [&'static str; 2],
     /// Width in Angstrom of the windows that follow the probe, for imagers with windows.
     pub window_angstrom: Option<f64>,
+    /// Whether several rectangles may be made side by side: the work on one of them fills little memory, and not all processors all the time.
+    pub side_by_side: bool,
     /// Number of images in the library, and how many of them were simulated; `None` for imagers without a library or before it is filled.
     pub library: Option<[usize; 2]>,
 }
@@ -39,6 +41,7 @@ impl ImagerFacts {
             detectors: 1,
             stage: ["assembling", "pixel"],
             window_angstrom: None,
+            side_by_side: false,
             library: None,
         }
     }

@@ -152,8 +152,9 @@ pub(crate) const MOST_MISTILT_MRAD: f64 = 20.0;
 /// Beam energy, aperture and aberrations, mistilt and focal spread.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Optics {
-    /// Beam energy in eV.
-    pub energy_ev: f64,
+    /// Beam energy in keV. Files hold it in eV.
+    #[serde(rename = "energy_ev", with = "stored_ev")]
+    pub energy_kev: f64,
     /// Convergence semiangle (for imaging: objective aperture) in mrad.
     pub semiangle_mrad: f64,
     /// Aberrations of the lens.
@@ -164,8 +165,8 @@ pub struct Optics {
     pub edge: ApertureEdge,
     /// Mistilt (x, y) of the specimen in mrad: the beam runs along `(tan x, tan y, 1)` of the specimen, whose slices stay
     /// planes of constant z; detectors are centred on the beam. abTEM's `tilt` has the same sign.
-    #[serde(default, skip_serializing_if = "is_none_of")]
-    pub mistilt_mrad: [f64; 2],
+    #[serde(rename = "mistilt_mrad", default, skip_serializing_if = "is_none_of")]
+    pub tilt_mrad: [f64; 2],
     /// Standard deviation in Angstrom of the focus, over which images are averaged: `C_c dE / E` with the standard deviation dE
     /// of the beam's energy.
     #[serde(default, skip_serializing_if = "is_zero")]
@@ -176,6 +177,20 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
+/// The beam energy as files hold it.
+mod stored_ev {
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference")]
+    pub(super) fn serialize<S: Serializer>(kev: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_f64(kev * 1e3)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+        Ok(f64::deserialize(from)? / 1e3)
+    }
+}
+
 fn is_none_of(values: &[f64; 2]) -> bool {
     *values == [0.0; 2]
 }
@@ -183,11 +198,11 @@ fn is_none_of(values: &[f64; 2]) -> bool {
 impl Default for Optics {
     fn default() -> Self {
         Optics {
-            energy_ev: 200e3,
+            energy_kev: 200.0,
             semiangle_mrad: 21.0,
             aberrations: Aberrations::default(),
             edge: ApertureEdge::Soft,
-            mistilt_mrad: [0.0; 2],
+            tilt_mrad: [0.0; 2],
             focal_spread_angstrom: 0.0,
         }
     }
@@ -196,7 +211,12 @@ impl Default for Optics {
 impl Optics {
     /// Electron wavelength in Angstrom.
     pub(crate) fn wavelength_angstrom(&self) -> f64 {
-        wavelength_angstrom(self.energy_ev)
+        wavelength_angstrom(self.energy_ev())
+    }
+
+    /// Beam energy in eV, as the formulas of electrons take it.
+    pub(crate) fn energy_ev(&self) -> f64 {
+        self.energy_kev * 1e3
     }
 
     /// Checks that a probe of these optics can be simulated.
@@ -204,7 +224,7 @@ impl Optics {
     /// # Errors
     /// [`Error::Invalid`] for an energy, a semiangle or an aberration out of range, naming the range.
     pub(crate) fn validate(&self) -> Result<()> {
-        let kev = self.energy_ev / 1e3;
+        let kev = self.energy_kev;
         if !ENERGY_KEV.contains(&kev) {
             let (low, high) = (ENERGY_KEV.start(), ENERGY_KEV.end());
             let expected = format!("must be between {low} and {high}");
@@ -221,7 +241,7 @@ impl Optics {
     }
 
     fn validate_mistilt(&self) -> Result<()> {
-        let [x, y] = self.mistilt_mrad;
+        let [x, y] = self.tilt_mrad;
         if x.abs() <= MOST_MISTILT_MRAD && y.abs() <= MOST_MISTILT_MRAD {
             return Ok(());
         }
@@ -231,13 +251,13 @@ impl Optics {
 
     /// Displacement (x, y) of the beam in Angstrom for each Angstrom of depth.
     pub fn slope(&self) -> [f64; 2] {
-        self.mistilt_mrad.map(|t| libm::tan(t * 1e-3))
+        self.tilt_mrad.map(|t| libm::tan(t * 1e-3))
     }
 
     /// Whether images are unchanged when specimen and scan are turned about the beam.
     pub fn is_round(&self) -> bool {
         let round = |a: &Aberration| a.symmetry == 0 || a.magnitude_angstrom == 0.0;
-        self.mistilt_mrad == [0.0; 2] && self.aberrations.0.iter().all(round)
+        self.tilt_mrad == [0.0; 2] && self.aberrations.0.iter().all(round)
     }
 
     /// These optics seen from axes whose directions are the columns of the orthogonal matrix `frame`: (x, y) there are
@@ -245,7 +265,7 @@ impl Optics {
     #[must_use]
     pub fn seen_from(&self, frame: [[f64; 2]; 2]) -> Self {
         let [[a, b], [c, d]] = frame;
-        let [x, y] = self.mistilt_mrad;
+        let [x, y] = self.tilt_mrad;
         let [sx, sy] = [x, y].map(|t| libm::tan(t * 1e-3));
         let back = |u: f64, v: f64| 1e3 * libm::atan(u * sx + v * sy);
         // A direction at azimuth p is seen at p - turn, or mirrored at turn - p.
@@ -255,7 +275,7 @@ impl Optics {
             _ => Aberration { azimuth_rad: hand * (t.azimuth_rad - turn), ..*t },
         };
         Optics {
-            mistilt_mrad: if is_none_of(&[x, y]) { [x, y] } else { [back(a, c), back(b, d)] },
+            tilt_mrad: if is_none_of(&[x, y]) { [x, y] } else { [back(a, c), back(b, d)] },
             aberrations: Aberrations(self.aberrations.0.iter().map(turned).collect()),
             ..self.clone()
         }
@@ -343,8 +363,8 @@ mod tests {
         defocus(1e6).validate().unwrap();
         let turned = Aberration::parse("C12=1@1e308").unwrap();
         let cases = [
-            Optics { energy_ev: 1e3, ..usual.clone() },
-            Optics { energy_ev: f64::NAN, ..usual.clone() },
+            Optics { energy_kev: 1.0, ..usual.clone() },
+            Optics { energy_kev: f64::NAN, ..usual.clone() },
             Optics { semiangle_mrad: 5e-324, ..usual.clone() },
             Optics { semiangle_mrad: f64::INFINITY, ..usual.clone() },
             Optics { aberrations: Aberrations(vec![turned]), ..usual.clone() },

@@ -22,7 +22,7 @@ pub struct OpticsTable {
     /// Defocus from the entrance surface in Angstrom; positive is underfocus, with the focus deeper in the specimen.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub defocus_angstrom: f64,
-    /// Mistilt (x, y) of the specimen in mrad (see [`Optics::mistilt_mrad`]).
+    /// Mistilt (x, y) of the specimen in mrad (see [`Optics::tilt_mrad`]).
     #[serde(default, skip_serializing_if = "are_zero")]
     pub mistilt_mrad: [f64; 2],
     /// Standard deviation of the focus in Angstrom.
@@ -57,10 +57,10 @@ impl OpticsTable {
         let one = |(name, value): (&String, &f64)| self.aberration(name, *value).ok();
         aberrations.0.extend(self.aberrations_angstrom.iter().filter_map(one));
         Optics {
-            energy_ev: self.energy_kv * 1e3,
+            energy_kev: self.energy_kv,
             semiangle_mrad: self.convergence_mrad,
             aberrations,
-            mistilt_mrad: self.mistilt_mrad,
+            tilt_mrad: self.mistilt_mrad,
             focal_spread_angstrom: self.focal_spread_angstrom,
             ..Optics::default()
         }
@@ -151,7 +151,7 @@ mod tests {
         );
         let recipe = recipe.unwrap();
         let optics = recipe.optics.optics();
-        assert_eq!(optics.mistilt_mrad, [3.0, -1.0]);
+        assert_eq!(optics.tilt_mrad, [3.0, -1.0]);
         assert_eq!(optics.aberrations.0.len(), 3);
         assert_eq!(optics.aberrations.0[0].magnitude_angstrom, -50.0);
         assert_eq!(optics.aberrations.0[1].azimuth_rad, 0.3);

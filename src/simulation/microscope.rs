@@ -42,11 +42,11 @@ impl Default for MicroscopeRequest {
     fn default() -> Self {
         let Settings { optics, detectors, .. } = Settings::default();
         MicroscopeRequest {
-            energy_kev: 1e-3 * optics.energy_ev,
+            energy_kev: optics.energy_kev,
             semiangle_mrad: optics.semiangle_mrad,
             defocus_angstrom: vec![0.0],
             aberrations: Vec::new(),
-            tilt_mrad: optics.mistilt_mrad,
+            tilt_mrad: optics.tilt_mrad,
             focal_spread_angstrom: optics.focal_spread_angstrom,
             source_size_angstrom: None,
             source_lorentz_share: 0.0,
@@ -70,7 +70,7 @@ impl MicroscopeRequest {
             semiangle_mrad: optics.semiangle_mrad,
             defocus_angstrom,
             aberrations,
-            tilt_mrad: optics.mistilt_mrad,
+            tilt_mrad: optics.tilt_mrad,
             focal_spread_angstrom: optics.focal_spread_angstrom,
             source_size_angstrom: source.map(|source| source.fwhm_angstrom),
             source_lorentz_share: source.map_or(0.0, |source| source.lorentz_share),
@@ -139,10 +139,10 @@ impl MicroscopeRequest {
         let mut aberrations = Aberrations::defocus(defocus_angstrom);
         aberrations.0.extend(self.aberrations.iter().copied());
         Optics {
-            energy_ev: self.energy_kev * 1e3,
+            energy_kev: self.energy_kev,
             semiangle_mrad: self.semiangle_mrad,
             aberrations,
-            mistilt_mrad: self.tilt_mrad,
+            tilt_mrad: self.tilt_mrad,
             focal_spread_angstrom: self.focal_spread_angstrom,
             ..Optics::default()
         }

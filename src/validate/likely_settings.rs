@@ -170,10 +170,10 @@ fn changes(settings: &Settings, band_limit_mrad: f64) -> Vec<Change> {
         let words = format!("defocus {other} A in place of {defocus} A");
         add(Suspect::Defocus, words, &|s| set_defocus(&mut s.optics.aberrations, other));
     }
-    let energy = optics.energy_ev / 1e3;
+    let energy = optics.energy_kev;
     for other in ENERGIES_KEV.into_iter().filter(|e| (e / energy - 1.0).abs() > 0.01) {
         let words = format!("energy {other} keV in place of {energy} keV");
-        add(Suspect::Energy, words, &|s| s.optics.energy_ev = 1e3 * other);
+        add(Suspect::Energy, words, &|s| s.optics.energy_kev = other);
     }
     let semiangle = optics.semiangle_mrad;
     for factor in [0.5, 2.0, 0.9, 1.1] {
@@ -188,7 +188,7 @@ fn changes(settings: &Settings, band_limit_mrad: f64) -> Vec<Change> {
             add(Suspect::Slices, words, &|s| s.slicing = other);
         }
     }
-    let [x, y] = optics.mistilt_mrad;
+    let [x, y] = optics.tilt_mrad;
     let tilts = match [x, y] {
         [0.0, 0.0] => {
             vec![[TILT_MRAD, 0.0], [-TILT_MRAD, 0.0], [0.0, TILT_MRAD], [0.0, -TILT_MRAD]]
@@ -197,7 +197,7 @@ fn changes(settings: &Settings, band_limit_mrad: f64) -> Vec<Change> {
     };
     for other in tilts.into_iter().filter(|other| *other != [x, y]) {
         let words = format!("a tilt of {}, {} mrad in place of {x}, {y} mrad", other[0], other[1]);
-        add(Suspect::Tilt, words, &|s| s.optics.mistilt_mrad = other);
+        add(Suspect::Tilt, words, &|s| s.optics.tilt_mrad = other);
     }
     changes
 }
@@ -251,7 +251,7 @@ mod tests {
     fn changes_are_of_one_setting_each() {
         let mut settings = Settings::default();
         settings.optics.aberrations.add_defocus(50.0);
-        settings.optics.mistilt_mrad = [3.0, -1.0];
+        settings.optics.tilt_mrad = [3.0, -1.0];
         let all = changes(&settings, 250.0);
         let words: Vec<&str> =
             all.iter().flat_map(|c| c.words.iter().map(String::as_str)).collect();
@@ -268,6 +268,6 @@ mod tests {
         }
         let minus = all.iter().find(|c| c.words[0].starts_with("defocus -50")).unwrap();
         assert_eq!(minus.settings.optics.aberrations.defocus_angstrom(), -50.0);
-        assert_eq!(minus.settings.optics.mistilt_mrad, [3.0, -1.0]);
+        assert_eq!(minus.settings.optics.tilt_mrad, [3.0, -1.0]);
     }
 }

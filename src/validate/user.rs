@@ -215,7 +215,7 @@ mod tests {
             name: String::new(),
             data,
             axes: labels.map(|l| l.iter().map(axis).collect()),
-            energy_ev: None,
+            energy_kev: None,
             semiangle_mrad: None,
             notes: Vec::new(),
             pixel_unsaid: None,

@@ -15,6 +15,21 @@ use crate::progress::{Progress, Silent};
 use crate::recipe::OVERVIEW_FACTOR;
 use crate::recipe::resolved_recipe::Recipe;
 
+/// Largest number of pixels that are kept in memory between the search for the range and writing (134 MB); larger images are made twice.
+const MOST_KEPT: usize = 1 << 25;
+
+/// Returns the number of pixels of an image without a recording that are kept in memory.
+pub(crate) fn kept_pixels(shape: [usize; 2]) -> usize {
+    let pixels = shape[0] * shape[1];
+    if pixels <= MOST_KEPT { pixels } else { 0 }
+}
+
+/// The least and the greatest value of an image as stored; and its pixels, where they are few enough to be kept.
+pub(crate) struct StoredRange {
+    pub(crate) limits: [f32; 2],
+    kept: Option<Array2<f32>>,
+}
+
 /// The image of a world, computed band by band from the sub-tiles on disk.
 pub(crate) struct BlendedImage<'a> {
     partition: &'a Partition,
@@ -125,32 +140,37 @@ impl<'a> BlendedImage<'a> {
         })
     }
 
-    /// Bands of the image as stored, from top to bottom.
-    fn bands(&self) -> StoredBands<'_> {
+    /// Bands of the image as stored, from top to bottom; `kept` is the whole image.
+    fn bands<'b>(&'b self, kept: Option<&'b Array2<f32>>) -> StoredBands<'b> {
         let clean = |rows| self.fine(self.shown.number, rows);
-        StoredBands { image: self, scan: self.scan.map(|scan| scan.begin(clean)) }
+        StoredBands { image: self, kept, scan: self.scan.map(|scan| scan.begin(clean)) }
     }
 
     /// Finds the least and the greatest value of the image as stored.
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Interrupted`].
-    pub(crate) fn range(&self, progress: &dyn Progress) -> Result<[f32; 2]> {
+    pub(crate) fn range(&self, progress: &dyn Progress) -> Result<StoredRange> {
         progress.start("scaling", "row", self.shape[0] as u64);
-        let mut range = [f32::INFINITY, f32::NEG_INFINITY];
-        let mut bands = self.bands();
+        let mut limits = [f32::INFINITY, f32::NEG_INFINITY];
+        let keeps = self.scan.is_none() && kept_pixels(self.shape) > 0;
+        let mut kept = keeps.then(|| Array2::zeros(self.shape));
+        let mut bands = self.bands(None);
         for first in (0..self.shape[0]).step_by(self.tile) {
             stop_if_asked(progress)?;
             let rows = first..(first + self.tile).min(self.shape[0]);
             let band = bands.rows(rows.clone(), None)?.values;
-            range = band.iter().fold(range, |[low, high], &v| [low.min(v), high.max(v)]);
+            limits = band.iter().fold(limits, |[low, high], &v| [low.min(v), high.max(v)]);
+            if let Some(kept) = &mut kept {
+                kept.slice_mut(s![rows.clone(), ..]).assign(&band);
+            }
             progress.advance(rows.len() as u64);
         }
         progress.finish();
         if let Some(warning) = bands.scan.as_ref().and_then(FieldScanRows::clipping_warning) {
             progress.warn(&warning);
         }
-        Ok(range)
+        Ok(StoredRange { limits, kept })
     }
 
     /// Writes tiles, overview and valid region, `range` scaled to \[0, 1\].
@@ -160,21 +180,23 @@ impl<'a> BlendedImage<'a> {
     pub(crate) fn write(
         &self,
         writer: &WorldWriter,
-        [low, high]: [f32; 2],
+        range: &StoredRange,
         keep_clean: bool,
         progress: &dyn Progress,
     ) -> Result<()> {
+        let [low, high] = range.limits;
         let offset = f64::from(low);
         let scale = if high > low { f64::from(high) - offset } else { 1.0 };
         writer.scaling(scale, offset, self.shown.detector.units())?;
         let mut overview = Overview::new(self.shape);
-        let mut bands = self.bands();
+        let mut bands = self.bands(range.kept.as_ref());
         progress.start("writing tiles", "tile", (self.grid[0] * self.grid[1]) as u64);
         for row in 0..self.grid[0] {
             stop_if_asked(progress)?;
             let first = row * self.stride;
             let rows = first..first + self.tile;
-            let clean = (keep_clean || self.scan.is_none()).then(|| self.clean(rows.clone()));
+            let made_here = self.scan.is_none() && range.kept.is_none();
+            let clean = (keep_clean || made_here).then(|| self.clean(rows.clone()));
             let clean = clean.transpose()?;
             if let Some(clean) = clean.as_ref().filter(|_| keep_clean) {
                 self.tiles(clean, |column, tile| writer.clean_tile(row, column, tile))?;
@@ -206,6 +228,7 @@ impl<'a> BlendedImage<'a> {
 /// Bands of an image, from top to bottom.
 struct StoredBands<'a> {
     image: &'a BlendedImage<'a>,
+    kept: Option<&'a Array2<f32>>,
     scan: Option<FieldScanRows<'a>>,
 }
 
@@ -215,10 +238,16 @@ impl StoredBands<'_> {
         if let Some(scan) = &mut self.scan {
             return scan.rows(rows);
         }
-        let mut values = clean.map_or_else(|| self.image.clean(rows.clone()), Ok)?;
-        if let Some(noise) = &self.image.noise {
-            self.image.add_noise(noise, &mut values, rows)?;
-        }
+        let values = match self.kept {
+            Some(kept) => kept.slice(s![rows, ..]).to_owned(),
+            None => {
+                let mut values = clean.map_or_else(|| self.image.clean(rows.clone()), Ok)?;
+                if let Some(noise) = &self.image.noise {
+                    self.image.add_noise(noise, &mut values, rows)?;
+                }
+                values
+            }
+        };
         let valid = Array2::from_elem(values.dim(), true);
         Ok(ScannedRows { values, valid })
     }

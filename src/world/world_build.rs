@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
+use super::blended_image::kept_pixels;
 use super::build_options::{BuildOptions, BuildPolicy};
 use super::build_summary::{BuildSummary, layer_warning};
 use super::field_scan::FieldScan;
@@ -217,7 +218,10 @@ impl WorldBuild {
     /// # Errors
     /// Errors of the plan.
     pub fn memory(&self, cost: &ImagingCost, threads: usize) -> Result<(u64, &'static str)> {
-        let image = (cost.memory_bytes(threads), cost.memory_remedy(threads));
+        let field = &self.layout.imaged.field;
+        let kept = size_of::<f32>() * kept_pixels(field.pixels(field.built_grid()));
+        let written = cost.image_bytes + kept as u64;
+        let image = (cost.memory_bytes(threads).max(written), cost.memory_remedy(threads));
         let audit = self.audit_cost(cost)?.map(|audit| audit.cost.memory_bytes(threads));
         Ok(match audit.filter(|bytes| *bytes > image.0) {
             Some(bytes) => (bytes, AUDIT_REMEDY),

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use ndarray::Array2;
+use rayon::prelude::*;
 
 use super::blended_image::BlendedImage;
 use super::build_options::BuildOptions;
@@ -68,22 +69,32 @@ impl Job<'_> {
         let work: Vec<usize> = tiles.iter().map(|t| self.imager.work(&self.pixels(t))).collect();
         let [stage, unit] = self.imager.facts().stage;
         self.progress.start(stage, unit, work.iter().sum::<usize>() as u64);
-        let (mut resumed, detectors) = (0, self.layout.recipe.detector.measured().len());
-        for (tile, work) in tiles.iter().zip(work) {
-            if self.progress.interrupted() {
-                return Err(Error::Interrupted);
-            }
-            let share = ProgressShare::new(self.progress, work);
-            if store.load(tile.index, tile.stored_shape(detectors), self.progress).is_some() {
-                resumed += 1;
-                share.found();
-            } else {
+        let one = |(tile, work): (&SubTile, &usize)| self.complete(store, tile, *work);
+        // Memory for one sub-tile at a time is what other imagers are planned with.
+        let found: Vec<bool> = match self.imager.facts().side_by_side {
+            true => tiles.par_iter().zip(&work).map(one).collect::<Result<_>>()?,
+            false => tiles.iter().zip(&work).map(one).collect::<Result<_>>()?,
+        };
+        self.progress.finish();
+        Ok([tiles.len(), found.into_iter().filter(|found| *found).count()])
+    }
+
+    /// Makes a sub-tile and stores it, if it is not there; returns whether it was.
+    fn complete(&self, store: &SubtileStore, tile: &SubTile, work: usize) -> Result<bool> {
+        if self.progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        let detectors = self.layout.recipe.detector.measured().len();
+        let share = ProgressShare::new(self.progress, work);
+        let found = store.load(tile.index, tile.stored_shape(detectors), self.progress).is_some();
+        match found {
+            true => share.found(),
+            false => {
                 store.save(tile.index, &self.simulate_one(tile, &share)?)?;
                 share.complete();
             }
         }
-        self.progress.finish();
-        Ok([tiles.len(), resumed])
+        Ok(found)
     }
 
     /// The pixels of a sub-tile in the full field.
@@ -130,12 +141,14 @@ impl Job<'_> {
         let keep_clean = options.keep_clean;
         let mut writer = WorldWriter::create(path, &self.header(), keep_clean)?;
         let range = image.range(self.progress)?;
-        image.write(&writer, range, keep_clean, self.progress)?;
+        image.write(&writer, &range, keep_clean, self.progress)?;
+        let limits = range.limits;
+        drop(range);
         let shown = shown_images(&recipe.detector.measured());
         for (number, shown) in shown.into_iter().enumerate().skip(1) {
             writer.next_detector(number, keep_clean)?;
             let image = image.of_detector(shown);
-            image.write(&writer, image.range(self.progress)?, keep_clean, self.progress)?;
+            image.write(&writer, &image.range(self.progress)?, keep_clean, self.progress)?;
         }
         if let Some(scan) = &scan {
             writer.recorded(scan.acquisition(), scan.exposure(), scan.counts_of_fraction())?;
@@ -149,7 +162,7 @@ impl Job<'_> {
         )?;
         writer.finish()?;
         verify(path, counts)?;
-        Ok((counts, range))
+        Ok((counts, limits))
     }
 
     /// Summarises the build; the time is not known yet.

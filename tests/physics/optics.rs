@@ -46,8 +46,8 @@ fn scan() -> Scan {
     Scan { origin_angstrom: [4.1, 3.6], step_angstrom: [0.7, 0.55], shape: [5, 6] }
 }
 
-fn tilted(settings: &Settings, mistilt_mrad: [f64; 2]) -> Settings {
-    let optics = Optics { mistilt_mrad, ..settings.optics.clone() };
+fn tilted(settings: &Settings, tilt_mrad: [f64; 2]) -> Settings {
+    let optics = Optics { tilt_mrad, ..settings.optics.clone() };
     Settings { optics, ..settings.clone() }
 }
 
@@ -192,7 +192,7 @@ fn focal_spread_is_the_mean_over_foci() {
 #[test]
 fn turned_grains_see_the_same_beam() {
     let optics = Optics {
-        mistilt_mrad: [6.0, -3.0],
+        tilt_mrad: [6.0, -3.0],
         aberrations: Aberrations(
             ["C10=-50", "C12=30@0.3", "C21=900@-1.1", "C23=700@2.0", "C45=1e6@0.2"]
                 .map(|text| Aberration::parse(text).unwrap())

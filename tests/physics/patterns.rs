@@ -247,7 +247,7 @@ fn rings_add_to_annular_images() {
         ..settings(Algorithm::Multislice)
     };
     ring.optics.focal_spread_angstrom = 20.0;
-    ring.optics.mistilt_mrad = [5.0, -2.0];
+    ring.optics.tilt_mrad = [5.0, -2.0];
     let plan = plan(&ring, &sites, size);
     let images = simulate(&plan, &sites, &scan, &Silent).unwrap();
     let read = rings(1.0, 200.0);

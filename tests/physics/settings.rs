@@ -37,7 +37,7 @@ fn algorithm() -> impl Strategy<Value = Algorithm> {
 
 fn optics_and_detectors() -> impl Strategy<Value = (Settings, [f64; 2])> {
     (
-        value(200e3),
+        value(200.0),
         value(20.0),
         value(50.0),
         value(0.3),
@@ -48,7 +48,7 @@ fn optics_and_detectors() -> impl Strategy<Value = (Settings, [f64; 2])> {
         .prop_map(
             |(energy, semiangle, magnitude, azimuth_rad, order, [inner, outer], scan)| {
                 let mut settings = Settings::default();
-                settings.optics.energy_ev = energy;
+                settings.optics.energy_kev = energy;
                 settings.optics.semiangle_mrad = semiangle;
                 let aberration = Aberration {
                     order,

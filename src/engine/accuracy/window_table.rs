@@ -80,7 +80,7 @@ pub fn window_for(
     let size = relative_size(settings);
     let beyond = (thickness_angstrom - MEASURED_THICKNESS_ANGSTROM).max(0.0);
     let blur = geometric_radius(settings);
-    let [x, y] = optics.mistilt_mrad;
+    let [x, y] = optics.tilt_mrad;
     let mistilt = x.hypot(y);
     let across = 1e-3 * mistilt * thickness_angstrom;
     let width_angstrom = base * size.max(1.0)
@@ -127,7 +127,7 @@ mod tests {
         assert!((width(&small, 100.0) - 15.6).abs() < 0.02);
         assert_eq!(window_for(1.0, &defocused, 195.0).unwrap().beyond_measured.len(), 2);
         let mut tilted = plain.clone();
-        tilted.optics.mistilt_mrad = [3.0, -4.0];
+        tilted.optics.tilt_mrad = [3.0, -4.0];
         // The window with which the audit of a mosaic passed.
         assert!((width(&tilted, 100.0) - 11.7).abs() < 1e-9);
         assert!((width(&tilted, 50.0) - 9.75).abs() < 1e-9);

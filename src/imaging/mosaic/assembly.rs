@@ -9,10 +9,11 @@ use crate::imaging::mosaic::bins::{Bins, grouped};
 use crate::imaging::mosaic::cell_images::{CellImages, Realisation};
 use crate::imaging::mosaic::image_library::ImageLibrary;
 use crate::imaging::mosaic::survey::BEYOND_NM;
+use crate::imaging::mosaic::unit_values::unit_values;
 use crate::lengths;
 use crate::plane;
 use crate::recipe::region::Region;
-use crate::resample::{Kernel, TAPS, Weights};
+use crate::resample::Kernel;
 use crate::simd::vectorised;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::sites::SiteKind;
@@ -52,8 +53,8 @@ struct PlacedColumn {
 
 /// The share of a unit in a pixel.
 struct PixelShare {
-    pixel: usize,
-    unit: usize,
+    pixel: u32,
+    unit: u32,
     weight: f64,
 }
 
@@ -151,8 +152,9 @@ impl Assembly {
             }
             shares
         };
-        let shares: Vec<Vec<PixelShare>> = (0..shape[0]).into_par_iter().map(row).collect();
-        let shares = shares.into_iter().flatten().collect();
+        let of_rows: Vec<Vec<PixelShare>> = (0..shape[0]).into_par_iter().map(row).collect();
+        let mut shares = Vec::with_capacity(of_rows.iter().map(Vec::len).sum());
+        of_rows.into_iter().for_each(|row| shares.extend(row));
         Assembly { area, families: families.list, units, columns, shares, shape, places }
     }
 
@@ -216,8 +218,8 @@ impl Assembly {
     pub(crate) fn missing(&self, library: &ImageLibrary) -> HashMap<usize, f64> {
         let there = self.held_by(library);
         let mut missing = HashMap::new();
-        for share in self.shares.iter().filter(|share| !there[share.unit]) {
-            *missing.entry(share.pixel).or_insert(0.0) += share.weight;
+        for share in self.shares.iter().filter(|share| !there[share.unit as usize]) {
+            *missing.entry(share.pixel as usize).or_insert(0.0) += share.weight;
         }
         missing
     }
@@ -251,7 +253,7 @@ impl Assembly {
         kernel: &Kernel,
         realisations: impl Fn(&CellImages, &UnitTag) -> Vec<Realisation> + Sync,
     ) -> Array2<f64> {
-        let of_share = self.shares.iter().map(|share| share.unit);
+        let of_share = self.shares.iter().map(|share| share.unit as usize);
         let (starts, by_unit) = grouped(self.units.len(), of_share);
         let of_unit = |n: usize| by_unit[starts[n]..starts[n + 1]].iter().map(|s| &self.shares[*s]);
         let cells = self.cells(library);
@@ -261,9 +263,9 @@ impl Assembly {
             let Some((tag, cell)) = found.filter(|_| starts[n] < starts[n + 1]) else {
                 return vec![0.0; starts[n + 1] - starts[n]];
             };
-            let offset = |share: &PixelShare| self.offset(share.pixel, unit, &tag, cell);
+            let offset = |share: &PixelShare| self.offset(share.pixel as usize, unit, &tag, cell);
             let offsets: Vec<[f64; 2]> = of_unit(n).map(offset).collect();
-            values((cell, detector), &realisations(cell, &tag), &offsets, kernel)
+            unit_values((cell, detector), &realisations(cell, &tag), &offsets, kernel)
         };
         let units = 0..self.units.len();
         let values: Vec<Vec<f64>> = units.clone().into_par_iter().map(patch).collect();
@@ -272,7 +274,7 @@ impl Assembly {
         let pixels = image.as_slice_mut().unwrap_or_default();
         for (n, values) in units.zip(&values) {
             for (share, value) in of_unit(n).zip(values) {
-                pixels[share.pixel] += share.weight * value;
+                pixels[share.pixel as usize] += share.weight * value;
             }
         }
         image
@@ -308,7 +310,7 @@ fn mean_numbers(found: &Sites) -> HashMap<u64, f64> {
 /// The columns around some pixels.
 #[derive(Default)]
 struct NearColumns {
-    units: Vec<usize>,
+    units: Vec<u32>,
     /// Positions of the columns, x and y.
     at: [Vec<f64>; 2],
     /// Squares of the columns' distances from a pixel.
@@ -320,7 +322,7 @@ impl NearColumns {
         self.units.clear();
         self.at.iter_mut().for_each(Vec::clear);
         for PlacedColumn { unit, at, .. } in columns {
-            self.units.push(*unit);
+            self.units.push(*unit as u32);
             self.at.iter_mut().zip(at).for_each(|(list, v)| list.push(*v));
         }
         self.squares.resize(self.units.len(), 0.0);
@@ -335,16 +337,16 @@ impl NearColumns {
         shares: &mut Vec<PixelShare>,
     ) {
         let (squares, [x, y]) = (&mut self.squares, &self.at);
-        vectorised(
+        let least = vectorised(
             #[inline(always)]
             || {
                 for ((square, x), y) in squares.iter_mut().zip(x).zip(y) {
                     let (dx, dy) = (at[0] - x, at[1] - y);
                     *square = dx * dx + dy * dy;
                 }
+                least(squares)
             },
         );
-        let least = squares.iter().copied().fold(f64::INFINITY, f64::min);
         let reach = least - 2.0 * ramps * LEAST_WEIGHT.ln();
         let start = shares.len();
         for (unit, &d2) in self.units.iter().zip(&*squares) {
@@ -356,7 +358,7 @@ impl NearColumns {
             // A unit's weight is the weight of its nearest column.
             match shares[start..].iter_mut().find(|s| s.unit == *unit) {
                 Some(share) => share.weight = share.weight.max(weight),
-                None => shares.push(PixelShare { pixel, unit: *unit, weight }),
+                None => shares.push(PixelShare { pixel: pixel as u32, unit: *unit, weight }),
             }
         }
         let total: f64 = shares[start..].iter().map(|s| s.weight).sum();
@@ -364,107 +366,17 @@ impl NearColumns {
     }
 }
 
-/// The mean image of some configurations of a unit on a detector, at `offsets` from its centre.
-fn values(
-    (cell, detector): (&CellImages, usize),
-    realisations: &[Realisation],
-    offsets: &[[f64; 2]],
-    kernel: &Kernel,
-) -> Vec<f64> {
-    let centres: Vec<[f64; 2]> = realisations.iter().map(|s| cell.position(s.unit)).collect();
-    let Some(&centre) = centres.first() else { return vec![0.0; offsets.len()] };
-    // Samples of all configurations lie at the same places about the centre, so they are summed first.
-    let (samples, periodic) = ([cell.shape[1], cell.shape[0]], cell.library_cell.periodic);
-    let weights = |k: usize, at: f64| -> Weights {
-        if periodic[k] { kernel.weights(at) } else { kernel.weights_within(at, samples[k]) }
-    };
-    let range = |k: usize| {
-        let low = offsets.iter().map(|o| o[k]).fold(f64::INFINITY, f64::min) + centre[k];
-        let high = offsets.iter().map(|o| o[k]).fold(f64::NEG_INFINITY, f64::max) + centre[k];
-        [weights(k, low).first, weights(k, high).first + TAPS as i64 - 1]
-    };
-    let (x, y) = (range(0), range(1));
-    let size = |r: [i64; 2]| (r[1] - r[0] + 1) as usize;
-    let mut patch = vec![0.0f64; size(x) * size(y)];
-    let whole = realisations.len() == shelf_configurations(cell, realisations);
-    let mut add = |image: &Array2<f32>, shift: [i64; 2], weight: f64| {
-        let (rows, columns) = image.dim();
-        // Along axes that are not periodic, all units of a kind have equal positions.
-        let wrap = |i: i64, n: usize| i.rem_euclid(n as i64) as usize;
-        let first = wrap(x[0] + shift[0], columns);
-        let standard = image.as_standard_layout();
-        let samples = standard.as_slice().unwrap_or_default();
-        for (line, i) in patch.chunks_exact_mut(size(x)).zip(y[0]..=y[1]) {
-            let row = &samples[wrap(i + shift[1], rows) * columns..][..columns];
-            add_wrapped(line, row, first, weight);
-        }
-    };
-    if whole {
-        add(cell.mean(detector, realisations[0].library_cell), [0, 0], 1.0);
-    } else {
-        for (realisation, at) in realisations.iter().zip(&centres) {
-            let shift = plane::sub(*at, centre).map(|d| d.round() as i64);
-            let image = cell.image(detector, realisation.library_cell, realisation.configuration);
-            add(image, shift, 1.0 / realisations.len() as f64);
-        }
-    }
-    // The lines are summed column by column, so that the 16 lines of a value are summed at once.
-    let lines = size(y);
-    let mut turned = vec![0.0; patch.len()];
-    for (line, row) in patch.chunks_exact(size(x)).enumerate() {
-        turned[line..].iter_mut().step_by(lines).zip(row).for_each(|(to, value)| *to = *value);
-    }
-    vectorised(
-        #[inline(always)]
-        || {
-            let at = |k: usize, offset: &[f64; 2], first: i64| {
-                let w = weights(k, offset[k] + centre[k]);
-                ((w.first - first) as usize, w.values)
-            };
-            let value = |offset: &[f64; 2]| {
-                let (column, across) = at(0, offset, x[0]);
-                let (row, down) = at(1, offset, y[0]);
-                weighted(&turned[column * lines + row..], lines, &across, &down)
-            };
-            offsets.iter().map(value).collect()
-        },
-    )
-}
-
-/// Adds the samples of a periodic row, from number `first` on, times a weight.
-fn add_wrapped(to: &mut [f64], row: &[f32], first: usize, weight: f64) {
-    let (mut to, mut first) = (to, first);
-    while !to.is_empty() {
-        let (part, rest) = to.split_at_mut(to.len().min(row.len() - first));
-        let samples = &row[first..first + part.len()];
-        vectorised(
-            #[inline(always)]
-            || part.iter_mut().zip(samples).for_each(|(to, s)| *to += weight * f64::from(*s)),
-        );
-        (to, first) = (rest, 0);
-    }
-}
-
-/// The sum of 16 x 16 samples with weights: first along each line, one sample after the other, then over the lines. Samples of a line
-/// lie `stride` apart, and lines beside each other.
+/// The least of some numbers, found in several lanes at once.
 #[inline(always)]
-fn weighted(samples: &[f64], stride: usize, across: &[f64; TAPS], down: &[f64; TAPS]) -> f64 {
-    let mut lines = [0.0f64; TAPS];
-    for (k, weight) in across.iter().enumerate() {
-        let column = &samples[k * stride..][..TAPS];
-        for (sum, sample) in lines.iter_mut().zip(column) {
-            *sum += sample * weight;
+fn least(numbers: &[f64]) -> f64 {
+    const LANES: usize = 8;
+    let lesser = |a: f64, b: f64| if b < a { b } else { a };
+    let mut lanes = [f64::INFINITY; LANES];
+    let mut chunks = numbers.chunks_exact(LANES);
+    for chunk in &mut chunks {
+        for (lane, number) in lanes.iter_mut().zip(chunk) {
+            *lane = lesser(*lane, *number);
         }
     }
-    down.iter().zip(&lines).map(|(weight, line)| weight * line).sum()
-}
-
-/// The number of configurations if `realisations` are all of one unit, else 0.
-fn shelf_configurations(cell: &CellImages, realisations: &[Realisation]) -> usize {
-    let first = realisations[0];
-    let same = realisations
-        .iter()
-        .enumerate()
-        .all(|(n, s)| *s == Realisation { configuration: n, ..first });
-    if same { cell.configurations(first.library_cell) } else { 0 }
+    chunks.remainder().iter().chain(&lanes).copied().fold(f64::INFINITY, lesser)
 }

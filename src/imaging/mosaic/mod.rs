@@ -24,3 +24,4 @@ pub mod supplied_images;
 #[cfg(feature = "hdf5")]
 pub(crate) mod supplied_library;
 pub(crate) mod survey;
+mod unit_values;

@@ -408,6 +408,7 @@ impl RegionImager for MosaicImager {
         ImagerFacts {
             detectors: self.simulator.detectors(),
             window_angstrom: self.simulator.window_angstrom(),
+            side_by_side: true,
             library: self.simulated.map(|simulated| [self.library.image_count(), simulated]),
             ..ImagerFacts::new("mosaic", self.simulator.parameters())
         }

@@ -246,7 +246,7 @@ fn optics(runner: &CheckRunner) -> Result<Findings> {
         ("focal_spread", "focal spread by PRISM, ", prism(1), straight, focus, spread),
     ] {
         let mut settings = Settings { algorithm, full_exit_grid: true, ..g.settings() };
-        settings.optics.mistilt_mrad = tilt;
+        settings.optics.tilt_mrad = tilt;
         settings.optics.focal_spread_angstrom = sigma;
         settings.optics.aberrations.add_defocus(defocus);
         let images = runner.execute(&g.plan_from_plane(&settings)?, &g.sites, &g.scan())?;

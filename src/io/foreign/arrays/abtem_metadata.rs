@@ -13,7 +13,7 @@ pub fn describes(metadata: &Value) -> bool {
 /// Copies the axes and settings of a description to the array, if the description fits it.
 pub fn describe(array: &mut ForeignArray, metadata: &Value) {
     let number = |key: &str| metadata[key].as_f64();
-    array.energy_ev = number("energy");
+    array.energy_kev = number("energy").map(|ev| ev / 1e3);
     array.semiangle_mrad = number("semiangle_cutoff");
     let axes = &metadata["axes"];
     let count = array.data.ndim();

@@ -51,7 +51,7 @@ pub struct ForeignArray {
     /// Description of each dimension, if the file has one.
     pub axes: Option<Vec<ArrayAxis>>,
     /// Beam energy, if the file gives it.
-    pub energy_ev: Option<f64>,
+    pub energy_kev: Option<f64>,
     /// Convergence semiangle, if the file gives it.
     pub semiangle_mrad: Option<f64>,
     /// Conversions of the values after reading, in words.
@@ -143,7 +143,7 @@ impl ForeignArray {
             name: name.to_owned(),
             data,
             axes: None,
-            energy_ev: None,
+            energy_kev: None,
             semiangle_mrad: None,
             notes: Vec::new(),
             pixel_unsaid: None,

@@ -80,7 +80,7 @@ pub(super) fn read_plain(path: &Path, choice: &ImageChoice) -> Result<RecordedIm
     };
     let name = array.name.clone();
     let notes = [array.notes.clone(), axes.notes()].concat();
-    let energy_kev = array.energy_ev.map(|ev| ev * 1e-3);
+    let energy_kev = array.energy_kev;
     let pixels = image_of(array, axes.plane, choice)?;
     Ok(RecordedImage {
         path: path.to_owned(),
