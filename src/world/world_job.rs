@@ -23,6 +23,9 @@ use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, DetectorTables};
 use crate::specimen::Specimen;
 
+/// Number of sub-tiles that each thread makes between two times of storing them, where sub-tiles may be made side by side.
+const SIDE_BY_SIDE: usize = 4;
+
 /// The recipe, specimen and options of a build, and its partition into sub-tiles.
 pub struct BuildLayout {
     pub recipe: CheckedRecipe,
@@ -69,32 +72,55 @@ impl Job<'_> {
         let work: Vec<usize> = tiles.iter().map(|t| self.imager.work(&self.pixels(t))).collect();
         let [stage, unit] = self.imager.facts().stage;
         self.progress.start(stage, unit, work.iter().sum::<usize>() as u64);
-        let one = |(tile, work): (&SubTile, &usize)| self.complete(store, tile, *work);
         // Memory for one sub-tile at a time is what other imagers are planned with.
-        let found: Vec<bool> = match self.imager.facts().side_by_side {
-            true => tiles.par_iter().zip(&work).map(one).collect::<Result<_>>()?,
-            false => tiles.iter().zip(&work).map(one).collect::<Result<_>>()?,
+        let at_once = match self.imager.facts().side_by_side {
+            true => SIDE_BY_SIDE * rayon::current_num_threads(),
+            false => 1,
         };
+        let mut resumed = 0;
+        for (tiles, work) in tiles.chunks(at_once).zip(work.chunks(at_once)) {
+            let shares: Vec<_> =
+                work.iter().map(|work| ProgressShare::new(self.progress, *work)).collect();
+            let parts = tiles.par_iter().zip(&shares);
+            let images = parts.map(|(tile, share)| self.made(store, tile, share));
+            let images: Vec<Result<Option<Array2<f32>>>> = images.collect();
+            let mut made = Ok(());
+            // Stored in order and by one thread, so that a run that is ended leaves the first ones.
+            for ((tile, share), image) in tiles.iter().zip(&shares).zip(images) {
+                match image {
+                    Ok(Some(image)) => {
+                        store.save(tile.index, &image)?;
+                        share.complete();
+                    }
+                    Ok(None) => {
+                        resumed += 1;
+                        share.found();
+                    }
+                    // The others are stored before the first error ends the run.
+                    Err(e) => made = made.and(Err(e)),
+                }
+            }
+            made?;
+        }
         self.progress.finish();
-        Ok([tiles.len(), found.into_iter().filter(|found| *found).count()])
+        Ok([tiles.len(), resumed])
     }
 
-    /// Makes a sub-tile and stores it, if it is not there; returns whether it was.
-    fn complete(&self, store: &SubtileStore, tile: &SubTile, work: usize) -> Result<bool> {
+    /// Makes a sub-tile; `None` if it is stored already.
+    fn made(
+        &self,
+        store: &SubtileStore,
+        tile: &SubTile,
+        progress: &dyn Progress,
+    ) -> Result<Option<Array2<f32>>> {
         if self.progress.interrupted() {
             return Err(Error::Interrupted);
         }
-        let detectors = self.layout.recipe.detector.measured().len();
-        let share = ProgressShare::new(self.progress, work);
-        let found = store.load(tile.index, tile.stored_shape(detectors), self.progress).is_some();
-        match found {
-            true => share.found(),
-            false => {
-                store.save(tile.index, &self.simulate_one(tile, &share)?)?;
-                share.complete();
-            }
+        let shape = tile.stored_shape(self.layout.recipe.detector.measured().len());
+        match store.load(tile.index, shape, self.progress) {
+            Some(_) => Ok(None),
+            None => self.simulate_one(tile, progress).map(Some),
         }
-        Ok(found)
     }
 
     /// The pixels of a sub-tile in the full field.
