@@ -1,7 +1,7 @@
 //! Compiles plain loops for the vector units of the machine that runs them.
 
 /// Runs `f` compiled for the widest vectors that the machine has. The closure must be marked `#[inline(always)]`; otherwise
-/// its loops are compiled for the oldest supported machine. `f` is FnOnce since the shim around Fn closures would not be
+/// its loops are compiled for the oldest supported machine, and so is what an iterator in it collects or sums: write a loop. `f` is FnOnce since the shim around Fn closures would not be
 /// inlined.
 #[inline(always)]
 pub(crate) fn vectorised<R>(f: impl FnOnce() -> R) -> R {

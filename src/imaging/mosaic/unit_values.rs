@@ -125,29 +125,82 @@ impl WithSimd for Interpolation<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Vec<f64> {
         let mut values = vec![0.0; self.offsets.len()];
-        // A loop: what an iterator collects would be compiled without these vectors.
-        for (value, offset) in values.iter_mut().zip(self.offsets) {
-            let across = weights_on(self.kernel, self.axes[0], offset[0] + self.centre[0]);
-            let down = weights_on(self.kernel, self.axes[1], offset[1] + self.centre[1]);
-            let column = (across.first - self.first[0]) as usize;
-            let row = (down.first - self.first[1]) as usize;
-            let samples = &self.samples[column * self.lines + row..];
-            *value = weighted(simd, samples, self.lines, &across.values, &down.values);
+        // Loops: what an iterator collects would be compiled without these vectors.
+        let Some((places, place_of)) = shared_places(self.offsets) else {
+            for (value, offset) in values.iter_mut().zip(self.offsets) {
+                let (column, across) = self.weights(0, offset[0]);
+                let (row, down) = self.weights(1, offset[1]);
+                let lines = line_sums(
+                    simd,
+                    &self.samples[column * self.lines + row..],
+                    self.lines,
+                    &across,
+                );
+                *value = weighted_sum(simd, &lines[..TAPS / S::F64_LANES], &down);
+            }
+            return values;
+        };
+        let mut sums = vec![0.0; places.len() * self.lines];
+        for (sums, place) in sums.chunks_exact_mut(self.lines).zip(&places) {
+            let (column, across) = self.weights(0, *place);
+            let samples = &self.samples[column * self.lines..];
+            let mut row = 0;
+            while row < self.lines {
+                // The last lines are summed once more with some of the lines before, so that there are 16.
+                row = row.min(self.lines - TAPS);
+                let lines = line_sums(simd, &samples[row..], self.lines, &across);
+                let (to, _) = S::as_mut_simd_f64s(&mut sums[row..][..TAPS]);
+                to.copy_from_slice(&lines[..TAPS / S::F64_LANES]);
+                row += TAPS;
+            }
+        }
+        for ((value, offset), place) in values.iter_mut().zip(self.offsets).zip(place_of) {
+            let (row, down) = self.weights(1, offset[1]);
+            let (lines, _) = S::as_simd_f64s(&sums[place * self.lines + row..][..TAPS]);
+            *value = weighted_sum(simd, lines, &down);
         }
         values
     }
 }
 
-/// The sum of 16 x 16 samples with weights: first along each line, one sample after the other, then over the lines. Samples of a line
-/// lie `stride` apart, and lines beside each other. Vectors of any width give the same sum.
+impl Interpolation<'_> {
+    /// The first sample of a place along an axis, and the weights of the samples.
+    #[inline(always)]
+    fn weights(&self, axis: usize, offset: f64) -> (usize, [f64; TAPS]) {
+        let found = weights_on(self.kernel, self.axes[axis], offset + self.centre[axis]);
+        ((found.first - self.first[axis]) as usize, found.values)
+    }
+}
+
+/// The places along x that pixels below each other share, and the number of each pixel's place; `None` where the raster is turned, so that
+/// most pixels have a place of their own.
+fn shared_places(offsets: &[[f64; 2]]) -> Option<(Vec<f64>, Vec<usize>)> {
+    // About twice the width of a unit.
+    let most = 8 + 2 * offsets.len().isqrt();
+    let (mut places, mut place_of) = (Vec::with_capacity(most), Vec::with_capacity(offsets.len()));
+    for [x, _] in offsets {
+        let place = match places.iter().position(|place| place == x) {
+            Some(place) => place,
+            None if places.len() == most => return None,
+            None => {
+                places.push(*x);
+                places.len() - 1
+            }
+        };
+        place_of.push(place);
+    }
+    Some((places, place_of))
+}
+
+/// The sums of 16 samples with weights along each of 16 lines, one sample after the other. Samples of a line lie `stride` apart, and lines
+/// beside each other. Only as many vectors as 16 lines fill are sums.
 #[inline(always)]
-fn weighted<S: Simd>(
+fn line_sums<S: Simd>(
     simd: S,
     samples: &[f64],
     stride: usize,
     across: &[f64; TAPS],
-    down: &[f64; TAPS],
-) -> f64 {
+) -> [S::f64s; TAPS] {
     let mut lines = [simd.splat_f64s(0.0); TAPS];
     for (k, weight) in across.iter().enumerate() {
         let (column, _) = S::as_simd_f64s(&samples[k * stride..][..TAPS]);
@@ -156,10 +209,16 @@ fn weighted<S: Simd>(
             *sum = simd.add_f64s(*sum, simd.mul_f64s(*samples, weight));
         }
     }
+    lines
+}
+
+/// The sum of 16 lines with weights, one after the other. Vectors of any width give the same sum.
+#[inline(always)]
+fn weighted_sum<S: Simd>(simd: S, lines: &[S::f64s], down: &[f64; TAPS]) -> f64 {
     let mut products = [0.0; TAPS];
     let (to, _) = S::as_mut_simd_f64s(&mut products);
     let (down, _) = S::as_simd_f64s(down);
-    for ((to, weight), line) in to.iter_mut().zip(down).zip(&lines) {
+    for ((to, weight), line) in to.iter_mut().zip(down).zip(lines) {
         *to = simd.mul_f64s(*weight, *line);
     }
     let mut sum = 0.0;
@@ -167,4 +226,46 @@ fn weighted<S: Simd>(
         sum += product;
     }
     sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The values at `offsets` of samples of some pattern.
+    fn values(offsets: &[[f64; 2]]) -> Vec<f64> {
+        let lines = 40;
+        let samples = (0..lines * 40).map(|n| f64::from(n * n % 101)).collect();
+        let kernel = Kernel::new(0.25, 1.8).unwrap();
+        let axes = [(40, false); 2];
+        let (first, centre) = ([0; 2], [20.0; 2]);
+        let interpolation = Interpolation {
+            samples,
+            lines: lines as usize,
+            first,
+            axes,
+            kernel: &kernel,
+            centre,
+            offsets,
+        };
+        Arch::new().dispatch(interpolation)
+    }
+
+    #[test]
+    fn sums_that_pixels_share_give_the_same_values() {
+        let raster: Vec<[f64; 2]> =
+            (0..90).map(|n| [f64::from(n % 9) * 0.7 - 3.1, f64::from(n / 9) * 0.7 - 2.9]).collect();
+        assert_eq!(shared_places(&raster).unwrap().0.len(), 9);
+        let alone: Vec<f64> = raster
+            .iter()
+            .flat_map(|offset| {
+                // Beside pixels that share no place, each value is summed alone.
+                let others = (0..400).map(|n| [f64::from(n) * 1e-3, 0.0]);
+                let turned: Vec<[f64; 2]> = std::iter::once(*offset).chain(others).collect();
+                assert!(shared_places(&turned).is_none());
+                values(&turned)[0..1].to_vec()
+            })
+            .collect();
+        assert_eq!(values(&raster), alone);
+    }
 }
