@@ -1,8 +1,8 @@
 //! Compiles plain loops for the vector units of the machine that runs them.
 
-/// Runs `f` compiled for the widest vectors that the machine has. The closure must be marked `#[inline(always)]`; otherwise
-/// its loops are compiled for the oldest supported machine, and so is what an iterator in it collects or sums: write a loop. `f` is FnOnce since the shim around Fn closures would not be
-/// inlined.
+/// Runs `f` compiled for the widest vectors that the machine has. The closure must be marked `#[inline(always)]`; otherwise its loops are
+/// compiled for the oldest supported machine. So is what an iterator in the closure collects: write a loop. `f` is FnOnce since the shim
+/// around Fn closures would not be inlined.
 #[inline(always)]
 pub(crate) fn vectorised<R>(f: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(f)
