@@ -19,7 +19,6 @@ import stemworlds as sw
 from stemworlds import bench
 
 
-
 def same(a: Any, b: Any) -> bool:
     return set(a) == set(b) and all(np.array_equal(a[name], b[name]) for name in a)
 

@@ -3,7 +3,7 @@
 use crate::rng::{Purpose, uniform};
 
 use crate::recipe::region::Region;
-use crate::simd::vectorised;
+use crate::simd::{greater, lesser, vectorised};
 
 /// Number of waves on one boundary; the field holds 1, 2 ... whole periods of them.
 const HARMONICS: u32 = 3;
@@ -85,18 +85,6 @@ impl SegmentBlock {
         }
         squares[0]
     }
-}
-
-/// Returns the lesser number. `f64::min` takes more instructions, since it handles NaN.
-#[inline(always)]
-fn lesser(a: f64, b: f64) -> f64 {
-    if a < b { a } else { b }
-}
-
-/// Returns the greater number; faster than `f64::max` (see [`lesser`]).
-#[inline(always)]
-fn greater(a: f64, b: f64) -> f64 {
-    if a > b { a } else { b }
 }
 
 impl WavyLine {

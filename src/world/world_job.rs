@@ -84,7 +84,7 @@ impl Job<'_> {
             let parts = tiles.par_iter().zip(&shares);
             let images = parts.map(|(tile, share)| self.made(store, tile, share));
             let images: Vec<Result<Option<Array2<f32>>>> = images.collect();
-            let mut made = Ok(());
+            let mut outcome = Ok(());
             // Stored in order and by one thread, so that a run that is ended leaves the first ones.
             for ((tile, share), image) in tiles.iter().zip(&shares).zip(images) {
                 match image {
@@ -97,10 +97,10 @@ impl Job<'_> {
                         share.found();
                     }
                     // The others are stored before the first error ends the run.
-                    Err(e) => made = made.and(Err(e)),
+                    Err(e) => outcome = outcome.and(Err(e)),
                 }
             }
-            made?;
+            outcome?;
         }
         self.progress.finish();
         Ok([tiles.len(), resumed])

@@ -14,7 +14,7 @@ use crate::lengths;
 use crate::plane;
 use crate::recipe::region::Region;
 use crate::resample::Kernel;
-use crate::simd::vectorised;
+use crate::simd::{lesser, vectorised};
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::sites::SiteKind;
 use crate::specimen::specimen_trait::Specimen;
@@ -370,7 +370,6 @@ impl NearColumns {
 #[inline(always)]
 fn least(numbers: &[f64]) -> f64 {
     const LANES: usize = 8;
-    let lesser = |a: f64, b: f64| if b < a { b } else { a };
     let mut lanes = [f64::INFINITY; LANES];
     let mut chunks = numbers.chunks_exact(LANES);
     for chunk in &mut chunks {
