@@ -288,7 +288,7 @@ fn plan_text(plan: &DetectabilityPlan) -> String {
     lines.add("thickness", format!("{} nm", thick.join(", ")));
     let atoms: Vec<String> = plan.atoms.iter().map(|n| text::count(*n as u64)).collect();
     lines.add("atoms", atoms.join(", "));
-    lines.add("algorithm", plan.engine.clone());
+    lines.add("engine", plan.engine.clone());
     lines.add("patch", format!("{} probes, {:.3} A apart", plan.pixels, plan.step_angstrom));
     lines.add("simulations", format!("{} of the patch, in one configuration", plan.simulations));
     lines.add("memory", format!("about {}", text::bytes(plan.memory_bytes)));

@@ -20,7 +20,7 @@ pub fn all(plan: &PlanReport, out: &mut Lines) {
 
 /// Adds names and values of the numerics of a plan.
 pub fn numerics(plan: &PlanReport, out: &mut Lines) {
-    out.add("algorithm", plan.algorithm.to_string());
+    out.add("engine", plan.algorithm.to_string());
     out.add("wave grid", grid(&plan.wave_grid));
     if plan.transmission_grid.points != plan.wave_grid.points {
         out.add("transmission grid", grid(&plan.transmission_grid));

@@ -15,6 +15,7 @@ use stemgen::files::outputs::check_outputs;
 use stemgen::io::{PatternFile, StoredImages, WorldFile};
 use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
 use stemgen::render::WorldPart;
+use stemgen::render::html::StoredPage;
 use stemgen::world::draw_specimen;
 
 const EXAMPLES: &str = "\
@@ -31,6 +32,8 @@ Examples:
     stemgen view srtio3 --difficulty easy --grid 2x2
   A recording, or an image of `stemgen simulate`:
     stemgen view tile.h5
+  A page for the browser of a recording, a series of recordings, or images:
+    stemgen view tile.h5 --html
   A page for the browser that zooms to single atoms and shows the ground truth of each:
     stemgen view worlds/srtio3_easy_1x1.h5 --html
   A page of diffraction patterns: move over the scan, draw detectors:
@@ -157,14 +160,24 @@ impl View {
 
     /// Draws a simulated image or a recording.
     fn draw_image(&self, images: &StoredImages) -> anyhow::Result<()> {
-        if self.html || self.region.is_some() || !self.picture.overlay.is_empty() {
-            bail!(
-                "{}: is no world; leave out --html, --region and --overlay (`simulate --html` makes a page of its images)",
-                self.world.display()
-            );
+        if self.region.is_some() || !self.picture.overlay.is_empty() {
+            bail!("{}: is no world; leave out --region and --overlay", self.world.display());
         }
-        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension("view.png"));
+        let ending = if self.html { "html" } else { "view.png" };
+        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
         check_outputs([&path], [&self.world], self.overwrite)?;
+        if self.html {
+            if self.picture.clean {
+                bail!("--clean: the page has the noise-free image too; leave it out");
+            }
+            let page = StoredPage {
+                title: self.world.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+                name: self.detector.clone(),
+                index: self.index,
+            };
+            page.page(images)?.write(&path)?;
+            return self.tell_page(&path);
+        }
         let choice = ViewedImage { name: self.detector.as_deref(), index: self.index };
         let (picture, what) = view_images::picture(images, &choice, &self.picture.picture())?;
         picture.write_png(&path)?;

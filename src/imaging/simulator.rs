@@ -45,7 +45,7 @@ pub(crate) fn default_window(recipe: &Recipe) -> Result<WindowChoice> {
 /// Specimen beyond the scanned area in Angstrom for engines without windows: as far as a probe spreads.
 const SPREAD_ANGSTROM: f64 = 6.0;
 /// Reach in Angstrom of an atom's potential, which must not come in from the other side of the periodic box.
-const POTENTIAL_REACH_ANGSTROM: f64 = 1.5;
+pub(crate) const POTENTIAL_REACH_ANGSTROM: f64 = 1.5;
 
 impl Simulator {
     /// Simulates with these settings.

@@ -124,7 +124,8 @@ impl RecipeText {
             return Err(self.unknown_key(key, known.into_iter()));
         }
         let Some(difficulty) = difficulty else {
-            return fail(format!("give a difficulty; the recipe has {there}"));
+            let message = format!("the recipe has tiers, choose one of them: {there}");
+            return Err(Error::choice(&self.path, crate::Setting::Difficulty, message));
         };
         match tiers.remove(difficulty.name()) {
             Some(toml::Value::Table(t)) => Ok(Some(t)),

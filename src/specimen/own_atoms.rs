@@ -1,15 +1,14 @@
 //! Specimens from a file of atoms that the user supplies, and stacks: specimens whose atoms are all held in memory.
 //!
-//! All atoms are held in memory, in the columns that `beam_rows` finds. Without labels in the file no atom is a defect: an arrangement of
+//! All atoms are held in memory, in the columns that `beam_rows` finds. Columns that repeat share library cells. Without labels in the file no atom is a defect: an arrangement of
 //! atoms alone does not show which atoms are out of place.
 
 use rayon::prelude::*;
 
-use super::beam_rows::beam_rows;
-use super::column_grid::ColumnGrid;
+use super::held_columns::{HeldColumns, PlacedSite};
+use super::repeating_units::{MOST_SHOWN_ANGSTROM, RepeatingUnits};
 use crate::error::{Error, Result};
 use crate::lengths;
-use crate::plane;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::atoms_table::AtomsTable;
 use crate::recipe::limits::BEYOND_FIELD_NM;
@@ -24,21 +23,17 @@ use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::structure::{LabelledAtom, LabelledAtoms, SiteLabel};
 
+/// Columns up to this distance outside the field are looked at in search of columns that repeat, in nm; the images of the field show them.
+const LIBRARY_BEYOND_NM: f64 = 1.0;
 /// Largest number of atoms of a specimen that is held in memory.
 const MOST_ATOMS: usize = 10_000_000;
 
 /// A specimen made of the atoms of the user's file, or of the layers of a stack.
 pub struct OwnAtoms {
-    /// All sites, column after column, each column by ascending z.
-    sites: Vec<SpecimenSite>,
-    /// Mean (x, y) of each column in nm, in the order of the grid.
-    positions_nm: Vec<[f64; 2]>,
-    /// Index of the first site of each column, and the number of sites.
-    starts: Vec<u32>,
+    columns: HeldColumns,
     /// The phase of each column.
     phases: Vec<u16>,
-    grid: ColumnGrid,
-    extent: Region,
+    repeating: RepeatingUnits,
     facts: SpecimenFacts,
     boundaries: Vec<Boundary>,
     particles: Vec<HeldParticle>,
@@ -67,9 +62,6 @@ impl HeldParticle {
     }
 }
 
-/// A site in the field, and its phase.
-pub type PlacedSite = (SpecimenSite, u16);
-
 impl OwnAtoms {
     /// Lays the atoms of the recipe's file into the field.
     ///
@@ -84,7 +76,6 @@ impl OwnAtoms {
                 "(missing): this structure needs the table",
             ));
         };
-        let extent = recipe.field.full_region().grown(BEYOND_FIELD_NM);
         let sites = with_keys(placed(atoms, table, recipe)?);
         let built = recipe.field.full_region();
         if !sites.iter().any(|(site, _)| built.contains([site.position_nm[0], site.position_nm[1]]))
@@ -95,7 +86,7 @@ impl OwnAtoms {
         let thickness_nm = recipe.field.thickness_nm;
         let phases = if atoms.groups.len() > 1 { atoms.groups.clone() } else { Vec::new() };
         let facts = SpecimenFacts { thickness_nm, phases, ..SpecimenFacts::default() };
-        Ok(Self::in_columns(sites, extent, facts, Vec::new()))
+        Ok(Self::in_columns(&sites, built, facts, Vec::new()))
     }
 
     /// Holds the sites of a stack, in any order, with its boundaries. `defects` returns the kind of a site and the element that it holds.
@@ -110,10 +101,9 @@ impl OwnAtoms {
         defects: impl Fn(&SpecimenSite) -> (SiteKind, u8) + Sync,
     ) -> Result<Self> {
         check_count(sites.len() as f64)?;
-        let extent = recipe.field.full_region().grown(BEYOND_FIELD_NM);
         let mut sites = with_keys(sites);
         sites.par_iter_mut().for_each(|(site, _)| (site.kind, site.number) = defects(site));
-        Ok(Self::in_columns(sites, extent, facts, boundaries))
+        Ok(Self::in_columns(&sites, recipe.field.full_region(), facts, boundaries))
     }
 
     /// Adds the particles whose atoms are among the sites.
@@ -123,70 +113,30 @@ impl OwnAtoms {
         self
     }
 
-    /// Finds the columns of sites that are sorted by depth.
+    /// Finds the columns of sites that are sorted by depth, and which of them repeat in the field.
     fn in_columns(
-        sites: Vec<PlacedSite>,
-        extent: Region,
+        sites: &[PlacedSite],
+        field: Region,
         facts: SpecimenFacts,
         boundaries: Vec<Boundary>,
     ) -> Self {
-        let places: Vec<[f64; 3]> = sites.iter().map(|(site, _)| site.position_nm).collect();
-        let rows = beam_rows(&places);
-        let count = rows.iter().max().map_or(0, |last| *last as usize + 1);
-        let (members, starts) = by_row(&rows, count);
-        let of_row = |row: usize| &members[starts[row] as usize..starts[row + 1] as usize];
-        let xy = |n: u32| {
-            let [x, y, _] = places[n as usize];
-            [x, y]
-        };
-        let mean = |row: usize| {
-            let sum = of_row(row).iter().fold([0.0; 2], |sum, n| plane::add(sum, xy(*n)));
-            sum.map(|s| s / of_row(row).len() as f64)
-        };
-        let means: Vec<[f64; 2]> = (0..count).into_par_iter().map(mean).collect();
-        let kept: Vec<usize> = (0..count).filter(|row| extent.contains(means[*row])).collect();
-        let positions: Vec<[f64; 2]> = kept.iter().map(|row| means[*row]).collect();
-        let (grid, order) = ColumnGrid::new(&extent, &positions);
-        let mut own = OwnAtoms {
-            sites: Vec::with_capacity(sites.len()),
-            positions_nm: order.iter().map(|n| positions[*n as usize]).collect(),
-            starts: vec![0],
-            phases: Vec::with_capacity(order.len()),
-            grid,
-            extent,
-            facts,
-            boundaries,
-            particles: Vec::new(),
-        };
-        for column in order {
-            let row = of_row(kept[column as usize]);
-            own.sites.extend(row.iter().map(|n| sites[*n as usize].0));
-            own.starts.push(own.sites.len() as u32);
-            own.phases.push(most_frequent(row.iter().map(|n| sites[*n as usize].1)));
+        let (columns, phases) = HeldColumns::new(sites, field.grown(BEYOND_FIELD_NM));
+        let repeating = RepeatingUnits::find(&columns, &field.grown(LIBRARY_BEYOND_NM));
+        let particles = columns.site_counts();
+        let expected_sites = Some(ExpectedSites { per_nm2: 0.0, particles });
+        let shown_within_angstrom = Some(MOST_SHOWN_ANGSTROM);
+        let facts = SpecimenFacts { expected_sites, shown_within_angstrom, ..facts };
+        OwnAtoms { columns, phases, repeating, facts, boundaries, particles: Vec::new() }
+    }
+
+    /// A column without its sites.
+    fn column(&self, n: usize) -> AtomColumn {
+        AtomColumn {
+            id: self.columns.id(n),
+            position_nm: self.columns.position_nm(n),
+            sites: 0..0,
+            unit: self.repeating.tag(&self.columns, n),
         }
-        own.facts.expected_sites = Some(own.expected_sites());
-        own
-    }
-
-    fn expected_sites(&self) -> ExpectedSites {
-        let sites = |columns: std::ops::Range<usize>| {
-            u64::from(self.starts[columns.end] - self.starts[columns.start])
-        };
-        let particles =
-            self.grid.filled().map(|(columns, centre)| (centre, sites(columns))).collect();
-        ExpectedSites { per_nm2: 0.0, particles }
-    }
-
-    /// Returns the numbers of the columns whose position lies in a region.
-    fn inside<'a>(&'a self, region: &'a Region) -> impl Iterator<Item = usize> + 'a {
-        let part = region.intersection(&self.extent);
-        let some = part.x[0] < part.x[1] && part.y[0] < part.y[1];
-        let ranges = some.then(|| self.grid.about(part)).into_iter().flatten();
-        ranges.flatten().filter(|column| region.contains(self.positions_nm[*column]))
-    }
-
-    fn range(&self, column: usize) -> std::ops::Range<usize> {
-        self.starts[column] as usize..self.starts[column + 1] as usize
     }
 }
 
@@ -265,31 +215,6 @@ fn check_count(atoms: f64) -> Result<()> {
     Err(Error::invalid(Setting::Recipe, "atoms", expected))
 }
 
-/// Returns the atoms of each row, one row after the other, and the index of the first atom of each row.
-fn by_row(rows: &[u32], count: usize) -> (Vec<u32>, Vec<u32>) {
-    let mut starts = vec![0u32; count + 1];
-    rows.iter().for_each(|row| starts[*row as usize + 1] += 1);
-    for n in 1..=count {
-        starts[n] += starts[n - 1];
-    }
-    let mut next = starts.clone();
-    let mut members = vec![0u32; rows.len()];
-    for (atom, row) in rows.iter().enumerate() {
-        let place = &mut next[*row as usize];
-        members[*place as usize] = atom as u32;
-        *place += 1;
-    }
-    (members, starts)
-}
-
-/// Returns the most frequent number; among equally frequent ones the least.
-fn most_frequent(numbers: impl Iterator<Item = u16>) -> u16 {
-    let mut sorted: Vec<u16> = numbers.collect();
-    sorted.sort_unstable();
-    let runs = sorted.chunk_by(|a, b| a == b);
-    runs.max_by_key(|run| (run.len(), std::cmp::Reverse(run[0]))).map_or(0, |run| run[0])
-}
-
 impl SpecimenLayout for OwnAtoms {
     fn facts(&self) -> &SpecimenFacts {
         &self.facts
@@ -307,12 +232,12 @@ impl SpecimenLayout for OwnAtoms {
         if let Some(particle) = self.particles.iter().find(|p| p.covers(position_nm)) {
             return particle.phase;
         }
-        let column = self.grid.nearest(&self.positions_nm, position_nm);
+        let column = self.columns.nearest(position_nm);
         column.map_or(0, |column| usize::from(self.phases[column]))
     }
 
-    fn library_cell(&self, _: UnitFamily) -> Option<LibraryCell> {
-        None
+    fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
+        self.repeating.library_cell(&self.columns, family, self.facts.thickness_angstrom())
     }
 
     fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
@@ -328,22 +253,15 @@ impl Specimen for OwnAtoms {
 
     fn query(&self, region: &Region) -> Sites {
         let mut out = Sites::default();
-        for column in self.inside(region) {
-            let sites = &self.sites[self.range(column)];
-            let id = sites[0].key;
-            out.push_column(id, self.positions_nm[column], None, sites.iter().copied());
+        for n in self.columns.inside(region) {
+            let AtomColumn { id, position_nm, unit, .. } = self.column(n);
+            out.push_column(id, position_nm, unit, self.columns.sites(n).iter().copied());
         }
         out
     }
 
     fn columns(&self, region: &Region) -> Vec<AtomColumn> {
-        let column = |n: usize| AtomColumn {
-            id: self.sites[self.range(n).start].key,
-            position_nm: self.positions_nm[n],
-            sites: 0..0,
-            unit: None,
-        };
-        self.inside(region).map(column).collect()
+        self.columns.inside(region).map(|n| self.column(n)).collect()
     }
 
     fn particles_on_a_plane(&self, _: &Region) -> Sites {

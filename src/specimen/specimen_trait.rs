@@ -191,6 +191,8 @@ pub struct SpecimenFacts {
     pub expected_sites: Option<ExpectedSites>,
     /// The layers of a stack.
     pub stack: Option<StackTruth>,
+    /// The largest distance in Angstrom from a column at which the library shows the image, where it is limited.
+    pub(crate) shown_within_angstrom: Option<f64>,
 }
 
 impl SpecimenFacts {

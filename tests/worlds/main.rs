@@ -28,6 +28,7 @@ mod python;
 mod recipes;
 mod recorded_axes;
 mod regions;
+mod repeating_columns;
 mod replay;
 mod samples;
 mod scores;

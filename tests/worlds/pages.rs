@@ -138,6 +138,22 @@ fn the_page_of_simulated_images_says_what_the_file_says() {
 }
 
 #[test]
+fn the_page_of_a_recording_says_what_the_file_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = Recipe::load("srtio3", Difficulty::Easy).unwrap().with_grid(1, 1).unwrap();
+    let options = BuildOptions { keep_clean: true, ..BuildOptions::default() };
+    build(&recipe, &Spots::new(), &folder.path().join("w.h5"), &options, &Silent).unwrap();
+    let arguments = "acquire w.h5 --dose 1e4 --frames 2 --keep-frames -o r.h5 --quiet";
+    stemgen(folder.path(), &arguments.split(' ').collect::<Vec<_>>());
+    stemgen(folder.path(), &["view", "r.h5", "--html", "--quiet"]);
+    check("check_recording.py", &[&folder.path().join("r.html"), &folder.path().join("r.h5")]);
+    // One frame is a page too.
+    stemgen(folder.path(), &["view", "r.h5", "--html", "--index", "0", "-o", "one.html"]);
+    let page = std::fs::read_to_string(folder.path().join("one.html")).unwrap();
+    assert!(page.contains(r#""number":0"#) && !page.contains(r#""number":1"#));
+}
+
+#[test]
 fn the_page_of_patterns_says_what_the_files_say() {
     let temporary = tempfile::tempdir().unwrap();
     let look = std::env::var_os("STEMGEN_LOOK").map(|look| Path::new(&look).join("patterns"));

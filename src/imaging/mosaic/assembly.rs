@@ -137,8 +137,9 @@ impl Assembly {
             columns.push(PlacedColumn { id: column.id, unit, at });
         }
         let bins = Bins::new(columns.iter().map(|column| column.at), BIN_ANGSTROM);
+        let within = specimen.facts().shown_within_angstrom.unwrap_or(f64::INFINITY);
         let row = |row: usize| {
-            let (mut shares, mut near, mut last) = (Vec::new(), NearColumns::default(), None);
+            let (mut shares, mut near, mut last) = (Vec::new(), NearColumns::new(within), None);
             for column in 0..shape[1] {
                 let at = places[row * shape[1] + column];
                 let at = plane::add(at, way);
@@ -214,13 +215,19 @@ impl Assembly {
         self.units.iter().map(held).collect()
     }
 
-    /// The pixels that show units missing in the library: their index, and the weight of the missing units.
+    /// The pixels that show units missing in the library, or no unit: their index, and the weight of what is missing.
     pub(crate) fn missing(&self, library: &ImageLibrary) -> HashMap<usize, f64> {
         let there = self.held_by(library);
         let mut missing = HashMap::new();
-        for share in self.shares.iter().filter(|share| !there[share.unit as usize]) {
-            *missing.entry(share.pixel as usize).or_insert(0.0) += share.weight;
+        let mut seen = vec![false; self.places.len()];
+        for share in &self.shares {
+            seen[share.pixel as usize] = true;
+            if !there[share.unit as usize] {
+                *missing.entry(share.pixel as usize).or_insert(0.0) += share.weight;
+            }
         }
+        // Far from all columns a pixel shows no unit.
+        missing.extend((0..seen.len()).filter(|pixel| !seen[*pixel]).map(|pixel| (pixel, 1.0)));
         missing
     }
 
@@ -308,8 +315,9 @@ fn mean_numbers(found: &Sites) -> HashMap<u64, f64> {
 }
 
 /// The columns around some pixels.
-#[derive(Default)]
 struct NearColumns {
+    /// Square of the largest distance from a pixel to a column that it shows.
+    within: f64,
     units: Vec<u32>,
     /// Positions of the columns, x and y.
     at: [Vec<f64>; 2],
@@ -318,6 +326,15 @@ struct NearColumns {
 }
 
 impl NearColumns {
+    fn new(within: f64) -> Self {
+        NearColumns {
+            within: within * within,
+            units: Vec::new(),
+            at: Default::default(),
+            squares: Vec::new(),
+        }
+    }
+
     fn set<'a>(&mut self, columns: impl Iterator<Item = &'a PlacedColumn>) {
         self.units.clear();
         self.at.iter_mut().for_each(Vec::clear);
@@ -347,6 +364,9 @@ impl NearColumns {
                 least(squares)
             },
         );
+        if least > self.within {
+            return;
+        }
         let reach = least - 2.0 * ramps * LEAST_WEIGHT.ln();
         let start = shares.len();
         for (unit, &d2) in self.units.iter().zip(&*squares) {
@@ -378,4 +398,16 @@ fn least(numbers: &[f64]) -> f64 {
         }
     }
     chunks.remainder().iter().chain(&lanes).copied().fold(f64::INFINITY, lesser)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::specimen::repeating_units::SHARED_ANGSTROM2;
+
+    #[test]
+    fn units_that_are_cut_from_a_specimen_are_scanned_as_far_as_they_are_seen() {
+        let weight = (-SHARED_ANGSTROM2 / (2.0 * RAMPS)).exp();
+        assert!((LEAST_WEIGHT..2e-3).contains(&weight), "{weight}");
+    }
 }

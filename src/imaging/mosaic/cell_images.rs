@@ -11,7 +11,7 @@ use crate::imaging::mosaic::image_note::ImageNote;
 use crate::numerics::NUMERICS_VERSION;
 use crate::optics::Optics;
 use crate::plane;
-use crate::resample::{Kernel, PeriodicResampling, image_band_limit, nyquist_step};
+use crate::resample::{Kernel, PeriodicResampling, TAPS, image_band_limit, nyquist_step};
 use crate::rng::{self, Purpose};
 use crate::specimen::sites::SiteKind;
 use crate::specimen::units::library_cell::{LibraryCell, LibrarySite, LibraryUnit};
@@ -245,7 +245,7 @@ impl CellImages {
         let mut add = |site: &LibrarySite, key: u64, defect: bool| {
             let process = self.library_cell.process.filter(|_| defect);
             let (kind, number) = process.map_or((SiteKind::Pristine, site.number), |p| p.defect());
-            if kind == SiteKind::Vacancy {
+            if kind == SiteKind::Vacancy || number == 0 {
                 return;
             }
             let n = rng::normal3(seed, Purpose::Library, configuration as u32, key);
@@ -272,8 +272,10 @@ impl CellImages {
     }
 
     pub(super) fn plan(&self) -> Result<Plan> {
-        let heights = self.library_cell.units.iter().flat_map(|u| u.members.iter().flatten());
-        let heights: Vec<f64> = heights.map(|s| s.position[2]).collect();
+        // Slices are cut between the atoms of all columns.
+        let units = self.library_cell.units.iter().flat_map(|u| u.members.iter().flatten());
+        let all = units.chain(self.library_cell.surroundings.iter().flatten());
+        let heights: Vec<f64> = all.filter(|s| s.number > 0).map(|s| s.position[2]).collect();
         Plan::new(&self.settings, self.library_cell.box_angstrom, &heights)
     }
 
@@ -325,7 +327,7 @@ impl CellImages {
     pub(super) fn elements(&self) -> Vec<u8> {
         let units = self.library_cell.units.iter().flat_map(|u| u.members.iter().flatten());
         let sites = units.chain(self.library_cell.surroundings.iter().flatten());
-        let mut numbers: BTreeSet<u8> = sites.map(|s| s.number).collect();
+        let mut numbers: BTreeSet<u8> = sites.map(|s| s.number).filter(|n| *n > 0).collect();
         numbers.extend(self.library_cell.process.map(|p| p.defect().1));
         numbers.into_iter().collect()
     }
@@ -335,7 +337,13 @@ impl CellImages {
 fn samples(library_cell: &LibraryCell, optics: &Optics) -> (Scan, [f64; 2], [usize; 2]) {
     let band_limit = image_band_limit(optics);
     let kept = Kernel::default_step(band_limit);
-    let step_angstrom = library_cell.cell.map(|edge| edge / (edge / kept - 1e-9).ceil());
+    // Values are interpolated from this many samples at least.
+    let most = |k: usize| library_cell.scanned[k] / (TAPS - 1) as f64;
+    let step = |k: usize, edge: f64| match library_cell.periodic[k] {
+        true => edge / (edge / kept - 1e-9).ceil(),
+        false => edge / (edge / kept.min(most(k)) - 1e-9).ceil(),
+    };
+    let step_angstrom = [0, 1].map(|k| step(k, library_cell.cell[k]));
     let count = |k: usize, step: f64| {
         let n = (library_cell.scanned[k] / step).round() as usize;
         if library_cell.periodic[k] { n } else { n + 1 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use ndarray::Array2;
 
 use crate::detect::Detector;
-use crate::engine::{Images, Plan, PlannedScan, Settings, Simulation};
+use crate::engine::{Algorithm, Images, Plan, PlannedScan, Settings, Simulation};
 use crate::error::{Error, Result};
 use crate::files::Shard;
 use crate::imaging::mosaic::cell_images::CellImages;
@@ -14,6 +14,7 @@ use crate::imaging::mosaic::image_note::{ImageNote, NewImages};
 use crate::imaging::mosaic::library_cache::Cache;
 use crate::imaging::mosaic::shared_cells::SharedCells;
 use crate::imaging::mosaic::supplied_images::is_supplied;
+use crate::imaging::simulator::POTENTIAL_REACH_ANGSTROM;
 use crate::progress::{Progress, ProgressShare};
 use crate::rng::{Purpose, words};
 use crate::specimen::specimen_trait::Specimen;
@@ -98,6 +99,12 @@ impl ImageLibrary {
                 detectors: turned_detectors(&self.settings, turned),
                 ..self.settings.clone()
             },
+        };
+        let library_cell = match settings.algorithm {
+            Algorithm::Window { width_angstrom } => {
+                library_cell.cut(0.5 * width_angstrom + POTENTIAL_REACH_ANGSTROM)
+            }
+            _ => library_cell,
         };
         Ok((library_cell.rounded(), settings))
     }

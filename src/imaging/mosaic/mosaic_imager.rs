@@ -161,11 +161,16 @@ impl MosaicImager {
 
     /// Whether the images that the supplied library lacks need clearly fewer probes than the field.
     pub(crate) fn pays(&self) -> bool {
-        let [rows, columns] = self.recipe.field.pixels(self.recipe.field.built_grid());
+        let field = &self.recipe.field;
+        let [rows, columns] = field.pixels(field.built_grid());
         let (tagged, untagged) = (self.survey.tagged, self.survey.untagged);
         let all = (tagged + untagged).max(1) as f64;
-        let probes = rows * columns * self.library.configurations();
-        let repeating = probes as f64 * tagged as f64 / all;
+        // Beside a specimen, most pixels show no column.
+        let most = self.specimen.facts().shown_within_angstrom.map_or(f64::INFINITY, |reach| {
+            std::f64::consts::PI * (reach / field.pixel_angstrom()).powi(2)
+        });
+        let shown = ((rows * columns) as f64 / all).min(most) * tagged as f64;
+        let repeating = shown * self.library.configurations() as f64;
         tagged > 0 && (self.probes_not_supplied() as f64) < WORTH * repeating
     }
 
@@ -340,8 +345,12 @@ impl MosaicImager {
         let image = |n: usize| assembly.image((&library, n), kernel, seed, configurations);
         let mut images: Vec<Array2<f64>> = (0..detectors).map(image).collect();
         let missing = assembly.missing(&library);
-        for (block, members) in blocks(&missing, first, shape, BLOCK_PX) {
+        let blocks = blocks(&missing, first, shape, BLOCK_PX);
+        let area = |block: &PixelRect| (block.shape[0] * block.shape[1]) as u64;
+        progress.start("assembling", "pixel", blocks.iter().map(|(block, _)| area(block)).sum());
+        for (block, members) in blocks {
             let direct = self.direct(&block, configurations, progress)?;
+            progress.advance(area(&block));
             for (pixel, weight) in members {
                 let [row, column] = [pixel / shape[1], pixel % shape[1]];
                 let at = [first[0] + row - block.first[0], first[1] + column - block.first[1]];

@@ -61,6 +61,8 @@ pub(super) struct PageImage {
     pub name: String,
     /// Place in a series of thicknesses, in the unit of lengths.
     pub thickness: Option<f64>,
+    /// Number in a series of frames or recordings.
+    pub number: Option<usize>,
     /// What the values are.
     pub quantity: String,
     /// What is shown is `value * scale + offset`.

@@ -57,6 +57,11 @@ async function openImage(image) {
   if (image === shown.image) color();
 }
 
+// Whether images have the same place in their series.
+function isBeside(a, b) {
+  return a.thickness === b.thickness && a.number === b.number;
+}
+
 function choose(image) {
   shown.image = image;
   $("image").value = image.name;
@@ -64,6 +69,8 @@ function choose(image) {
   $("series").hidden = series.length < 2;
   $("thickness").max = series.length - 1;
   $("thickness").value = series.indexOf(image);
+  $("series-name").textContent = image.number === null ? "thickness" : "number";
+  if (image.number !== null) $("thickness-value").textContent = `${image.number} of 0 to ${series.length - 1}`;
   if (image.thickness !== null) $("thickness-value").textContent = `${image.thickness.toFixed(2)} ${HEADER.unit}`;
   openImage(image).catch((error) => complain(error.message));
   replot();
@@ -77,7 +84,7 @@ function chooseThickness(index) {
 
 function nextImage() {
   const next = names[(names.indexOf(shown.image.name) + 1) % names.length];
-  const alike = (image) => image.name === next && image.thickness === shown.image.thickness;
+  const alike = (image) => image.name === next && isBeside(image, shown.image);
   choose(images.find(alike) ?? images.find((image) => image.name === next));
 }
 
@@ -86,7 +93,7 @@ function nextImage() {
 function replot() {
   if (!profile.line) return;
   const { image } = shown;
-  const other = images.find((o) => o !== image && image.thickness === null && o.quantity === image.quantity);
+  const other = images.find((o) => o.name !== image.name && o.number === image.number && image.thickness === null && o.quantity === image.quantity);
   const [from, to] = profile.line;
   profile.show(from, to, other ? [image, other] : [image]).catch((error) => complain(error.message));
 }
@@ -241,7 +248,7 @@ function fillControls() {
 function connectControls() {
   $("image").addEventListener("change", (event) => {
     const name = event.target.value;
-    const alike = (image) => image.name === name && image.thickness === shown.image.thickness;
+    const alike = (image) => image.name === name && isBeside(image, shown.image);
     choose(images.find(alike) ?? images.find((image) => image.name === name));
   });
   $("thickness").addEventListener("input", (event) => chooseThickness(Number(event.target.value)));

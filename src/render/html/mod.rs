@@ -16,10 +16,12 @@ mod cube;
 mod header;
 mod pyramid;
 mod stack;
+mod stored;
 mod world;
 
 pub use cube::CubePage;
 pub(crate) use stack::{ImageOfStack, StackPage};
+pub use stored::StoredPage;
 pub(crate) use world::WorldPage;
 
 use std::path::Path;

@@ -99,7 +99,7 @@ class Readout {
       const whole = Math.abs(count - Math.round(count)) < 0.02;
       lines.push(["electrons", "electrons", whole ? String(Math.round(count)) : digits(count, 3), count]);
     }
-    const other = this.images.find((o) => o !== image && o.thickness === null && o.quantity === image.quantity);
+    const other = this.images.find((o) => o.name !== image.name && o.number === image.number && o.thickness === null && o.quantity === image.quantity);
     if (other) {
       const there = other.pyramid.value(i, j);
       const text = there === undefined ? waiting : digits(there * other.scale + other.offset);

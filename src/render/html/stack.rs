@@ -65,6 +65,7 @@ impl StackPage<'_> {
                 images.push(PageImage {
                     name: image.name.to_owned(),
                     thickness: Some(*thickness),
+                    number: None,
                     quantity: image.quantity.to_owned(),
                     scale: 1.0,
                     offset: 0.0,

@@ -135,6 +135,7 @@ fn image(metadata: &WorldMetadata, clean: bool, exact: bool) -> PageImage {
             (false, false) => "image".into(),
         },
         thickness: None,
+        number: None,
         quantity: if clean || scaling.is_some() { fraction } else { "normalised intensity" }.into(),
         scale,
         offset,

@@ -16,7 +16,8 @@ use particles_on_layers::{LaidParticle, laid_particles};
 use point_defects::PointDefects;
 use vacancy_groups::{mark_double_vacancies, mark_lines};
 
-use super::own_atoms::{OwnAtoms, PlacedSite};
+use super::held_columns::PlacedSite;
+use super::own_atoms::OwnAtoms;
 use super::sites::{DISPLACED_NM, SpecimenSite};
 use super::specimen_trait::{DislocationTruth, LayerTruth, SpecimenFacts, StackTruth};
 use crate::error::{Error, Result};

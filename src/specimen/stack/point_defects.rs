@@ -9,7 +9,7 @@ use crate::recipe::CheckedRecipe;
 use crate::recipe::stacked_crystals::StackedCrystals;
 use crate::specimen::defects::rules::Defects;
 use crate::specimen::defects::vacancies::DistanceHistogram;
-use crate::specimen::own_atoms::PlacedSite;
+use crate::specimen::held_columns::PlacedSite;
 use crate::specimen::sites::{SiteKind, SpecimenSite};
 use crate::structure::lattice::dot;
 

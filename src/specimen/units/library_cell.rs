@@ -13,7 +13,7 @@ use crate::structure::columns::ColumnCrystal;
 pub struct LibrarySite {
     /// Mean position in Angstrom.
     pub position: [f64; 3],
-    /// Atomic number of the atom that belongs there.
+    /// Atomic number of the atom that belongs there; 0 if the specimen that the library cell was cut from has no atom there.
     pub number: u8,
     /// Number of the site among the unit's sites that may be defects.
     pub defect: Option<usize>,
@@ -114,6 +114,31 @@ impl LibraryCell {
             units,
             surroundings: Vec::new(),
         }
+    }
+
+    /// Leaves out what lies farther than `beyond` Angstrom from the scan, in library cells that are periodic along neither axis.
+    #[must_use]
+    pub(crate) fn cut(mut self, beyond: f64) -> Self {
+        let excess = self.scan_origin.map(|first| first - beyond);
+        if self.periodic != [false; 2] || excess.iter().any(|width| *width <= 0.0) {
+            return self;
+        }
+        for k in 0..2 {
+            self.box_angstrom[k] = self.scanned[k] + 2.0 * beyond;
+        }
+        self.scan_origin = [beyond; 2];
+        let shifted = |[x, y, z]: [f64; 3]| [x - excess[0], y - excess[1], z];
+        for unit in &mut self.units {
+            unit.centre = plane::sub(unit.centre, excess);
+            unit.members.iter_mut().flatten().for_each(|s| s.position = shifted(s.position));
+        }
+        let size = self.box_angstrom;
+        let inside = |s: &LibrarySite| (0..2).all(|k| (0.0..=size[k]).contains(&s.position[k]));
+        for column in &mut self.surroundings {
+            column.iter_mut().for_each(|s| s.position = shifted(s.position));
+        }
+        self.surroundings.retain(|column| column.iter().any(inside));
+        self
     }
 
     /// Rounds all lengths, so that specimens of other seeds and fields have bit-identical library cells.

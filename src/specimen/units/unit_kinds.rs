@@ -7,7 +7,7 @@ use crate::plane;
 use crate::structure::columns::ColumnCrystal;
 
 /// Columns nearer than this in projection belong to one unit, in Angstrom.
-const SAME_UNIT_ANGSTROM: f64 = 1.5;
+pub(crate) const SAME_UNIT_ANGSTROM: f64 = 1.5;
 
 /// A column of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -48,6 +48,8 @@ pub struct StoredImage {
     pub of: usize,
     /// Pixel (x, y) in Angstrom.
     pub step_angstrom: [f64; 2],
+    /// Unit of the values.
+    pub units: Option<String>,
 }
 
 /// Datasets of a recording: the recorded image, and the noise-free one.
@@ -157,7 +159,7 @@ impl StoredImages {
         if values.iter().any(|v| !v.is_finite()) {
             return Err("holds values that are no finite numbers".into());
         }
-        Ok(StoredImage { values, of, step_angstrom })
+        Ok(StoredImage { values, of, step_angstrom, units: text(&dataset, "units") })
     }
 
     fn step(&self, dataset: &Dataset) -> Guarded<[f64; 2]> {
