@@ -125,18 +125,19 @@ pub(crate) fn check_aberrations(
     Ok(())
 }
 
-/// Refuses names of output files that promise another format than HDF5.
+/// Refuses names of output files that do not end as the names of HDF5 files do: other programs choose their reader by the ending.
 ///
 /// # Errors
 /// [`Error::Invalid`] with the intended name.
 pub fn check_hdf5_name(path: &Path) -> Result<()> {
-    let Some(ending) = path.extension() else { return Ok(()) };
-    let ending = ending.to_string_lossy().to_ascii_lowercase();
-    if HDF5.contains(&ending.as_str()) {
-        return Ok(());
-    }
+    let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
+    let found = match &ending {
+        Some(ending) if HDF5.contains(&ending.as_str()) => return Ok(()),
+        Some(ending) => format!("its name ends in .{ending}"),
+        None => "its name has no ending".into(),
+    };
     let expected = format!(
-        "the file is HDF5, and its name ends in .{ending}; did you mean {}?",
+        "the file is HDF5, and {found}; did you mean {}?",
         path.with_extension("h5").display()
     );
     Err(Error::invalid(Setting::OutputName, path.display(), expected))
@@ -274,10 +275,12 @@ mod tests {
 
     #[test]
     fn names_of_other_formats_are_refused() {
-        for good in ["a.h5", "a", "a.HDF5"] {
+        for good in ["a.h5", "a.HDF5"] {
             check_hdf5_name(Path::new(good)).unwrap();
         }
-        let message = check_hdf5_name(Path::new("x.tif")).unwrap_err().to_string();
-        assert!(message.contains("did you mean x.h5?"), "{message}");
+        for wrong in ["x.tif", "x"] {
+            let message = check_hdf5_name(Path::new(wrong)).unwrap_err().to_string();
+            assert!(message.contains("did you mean x.h5?"), "{message}");
+        }
     }
 }

@@ -35,6 +35,9 @@ use crate::specimen::units::unit_tag::TurnedFamily;
 
 /// A mosaic is used where the missing images of its library need fewer probes than this share of the field's.
 const WORTH: f64 = 0.8;
+/// Time of a column that is simulated at its place beyond its time in a simulation of the whole field, in units of the latter: blocks of
+/// single columns overlap.
+const APART: f64 = 3.0;
 /// Edge in Angstrom of the surroundings of a column that only direct simulation can show.
 const UNIQUE_ANGSTROM: f64 = 3.0;
 
@@ -169,9 +172,11 @@ impl MosaicImager {
         let most = self.specimen.facts().shown_within_angstrom.map_or(f64::INFINITY, |reach| {
             std::f64::consts::PI * (reach / field.pixel_angstrom()).powi(2)
         });
-        let shown = ((rows * columns) as f64 / all).min(most) * tagged as f64;
-        let repeating = shown * self.library.configurations() as f64;
-        tagged > 0 && (self.probes_not_supplied() as f64) < WORTH * repeating
+        let of_column =
+            ((rows * columns) as f64 / all).min(most) * self.library.configurations() as f64;
+        let apart = if most.is_finite() { APART * of_column * untagged as f64 } else { 0.0 };
+        let needed = self.probes_not_supplied() as f64 + apart;
+        tagged > 0 && needed < WORTH * of_column * tagged as f64
     }
 
     /// Whether all images of the library are supplied.
