@@ -1,7 +1,7 @@
 //! Specimens from a file of atoms that the user supplies, and stacks: specimens whose atoms are all held in memory.
 //!
-//! All atoms are held in memory, in the columns that `beam_rows` finds. Columns that repeat share library cells. Without labels in the file no atom is a defect: an arrangement of
-//! atoms alone does not show which atoms are out of place.
+//! All atoms are held in memory, in the columns that `beam_rows` finds. Columns that repeat share library cells. Without labels in the file
+//! no atom is a defect: an arrangement of atoms alone does not show which atoms are out of place.
 
 use rayon::prelude::*;
 
@@ -34,6 +34,8 @@ pub struct OwnAtoms {
     /// The phase of each column.
     phases: Vec<u16>,
     repeating: RepeatingUnits,
+    /// Displacement (x, y) of a tilted beam at half thickness, in Angstrom.
+    way_angstrom: [f64; 2],
     facts: SpecimenFacts,
     boundaries: Vec<Boundary>,
     particles: Vec<HeldParticle>,
@@ -86,7 +88,7 @@ impl OwnAtoms {
         let thickness_nm = recipe.field.thickness_nm;
         let phases = if atoms.groups.len() > 1 { atoms.groups.clone() } else { Vec::new() };
         let facts = SpecimenFacts { thickness_nm, phases, ..SpecimenFacts::default() };
-        Ok(Self::in_columns(&sites, built, facts, Vec::new()))
+        Ok(Self::in_columns(&sites, recipe, facts, Vec::new()))
     }
 
     /// Holds the sites of a stack, in any order, with its boundaries. `defects` returns the kind of a site and the element that it holds.
@@ -103,7 +105,7 @@ impl OwnAtoms {
         check_count(sites.len() as f64)?;
         let mut sites = with_keys(sites);
         sites.par_iter_mut().for_each(|(site, _)| (site.kind, site.number) = defects(site));
-        Ok(Self::in_columns(&sites, recipe.field.full_region(), facts, boundaries))
+        Ok(Self::in_columns(&sites, recipe, facts, boundaries))
     }
 
     /// Adds the particles whose atoms are among the sites.
@@ -116,17 +118,21 @@ impl OwnAtoms {
     /// Finds the columns of sites that are sorted by depth, and which of them repeat in the field.
     fn in_columns(
         sites: &[PlacedSite],
-        field: Region,
+        recipe: &CheckedRecipe,
         facts: SpecimenFacts,
         boundaries: Vec<Boundary>,
     ) -> Self {
+        let field = recipe.field.full_region();
+        let half = 0.5 * facts.thickness_angstrom();
+        let way_angstrom = recipe.optics.optics().slope().map(|slope| slope * half);
         let (columns, phases) = HeldColumns::new(sites, field.grown(BEYOND_FIELD_NM));
         let repeating = RepeatingUnits::find(&columns, &field.grown(LIBRARY_BEYOND_NM));
         let particles = columns.site_counts();
         let expected_sites = Some(ExpectedSites { per_nm2: 0.0, particles });
         let shown_within_angstrom = Some(MOST_SHOWN_ANGSTROM);
         let facts = SpecimenFacts { expected_sites, shown_within_angstrom, ..facts };
-        OwnAtoms { columns, phases, repeating, facts, boundaries, particles: Vec::new() }
+        let particles = Vec::new();
+        OwnAtoms { columns, phases, repeating, way_angstrom, facts, boundaries, particles }
     }
 
     /// A column without its sites.
@@ -237,7 +243,8 @@ impl SpecimenLayout for OwnAtoms {
     }
 
     fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
-        self.repeating.library_cell(&self.columns, family, self.facts.thickness_angstrom())
+        let beam = (self.facts.thickness_angstrom(), self.way_angstrom);
+        self.repeating.library_cell(&self.columns, family, beam)
     }
 
     fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::held_columns::HeldColumns;
 use super::sites::SpecimenSite;
-use super::unit_likeness::{COMPARED_ANGSTROM, UnitLikeness, held_number};
+use super::unit_likeness::{COMPARED_ANGSTROM, UnitLikeness, held_number, strengths};
 use super::units::library_cell::{LibraryCell, LibrarySite, LibraryUnit};
 use super::units::unit_kinds::SAME_UNIT_ANGSTROM;
 use super::units::unit_tag::{PatternIndex, UnitFamily, UnitTag};
@@ -124,6 +124,7 @@ impl RepeatingUnits {
 
     /// Puts each unit into the group of the first model that it is like, or makes it a model. Returns the models.
     fn grouped(&mut self, columns: &HeldColumns) -> Vec<(u32, UnitLikeness)> {
+        let strengths = strengths(columns);
         let mut models: Vec<(u32, UnitLikeness)> = Vec::new();
         let mut by_contents: HashMap<Vec<u8>, Vec<u32>> = HashMap::new();
         for start in (0..self.units.len()).step_by(CHUNK) {
@@ -132,7 +133,8 @@ impl RepeatingUnits {
                 candidates.iter().copied().find(|m| models[*m as usize].1.is_like(likeness))
             };
             let compared = |unit: &FoundUnit| {
-                let likeness = UnitLikeness::of(columns, &unit.members, unit.centre_nm);
+                let all = (columns, &strengths[..]);
+                let likeness = UnitLikeness::of(all, &unit.members, unit.centre_nm);
                 let contents = likeness.contents();
                 let known = by_contents.get(&contents).map_or(&[][..], Vec::as_slice);
                 (like(&likeness, known), known.len(), contents, likeness)
@@ -175,19 +177,21 @@ impl RepeatingUnits {
         })
     }
 
-    /// The library cell of a group: its model, and the columns around it.
+    /// The library cell of a group: its model, and the columns around it. A tilted beam is displaced by `way` (Angstrom) at half thickness,
+    /// and the scan lies there.
     pub(super) fn library_cell(
         &self,
         columns: &HeldColumns,
         family: UnitFamily,
-        thickness_angstrom: f64,
+        (thickness_angstrom, way): (f64, [f64; 2]),
     ) -> Option<LibraryCell> {
         let group = self.groups.get(family.motif)?;
+        let scan = plane::per_axis(group.scan, way, |ends, way| ends.map(|end| end - way));
         let model = &self.units[group.model as usize];
         let centre = lengths::angstrom(model.centre_nm);
-        let scanned = group.scan.map(|[low, high]| high - low);
+        let scanned = scan.map(|[low, high]| high - low);
         // The place of the unit's centre in the library cell.
-        let at = group.scan.map(|[low, _]| SPECIMEN_BEYOND_ANGSTROM - low);
+        let at = scan.map(|[low, _]| SPECIMEN_BEYOND_ANGSTROM - low);
         let size = scanned.map(|width| width + 2.0 * SPECIMEN_BEYOND_ANGSTROM);
         let corner = lengths::nm(plane::sub(centre, at));
         let end = plane::add(corner, lengths::nm(size));

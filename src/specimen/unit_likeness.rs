@@ -59,8 +59,12 @@ pub(super) fn held_number(site: &SpecimenSite) -> u8 {
 }
 
 impl UnitLikeness {
-    /// The contents and neighbours of the unit with these members and this centre (x, y) in nm.
-    pub(super) fn of(columns: &HeldColumns, members: &[u32], centre_nm: [f64; 2]) -> Self {
+    /// The contents and neighbours of the unit with these members and this centre (x, y) in nm; `strengths` are of all columns.
+    pub(super) fn of(
+        (columns, strengths): (&HeldColumns, &[f64]),
+        members: &[u32],
+        centre_nm: [f64; 2],
+    ) -> Self {
         let from = |nm: [f64; 2]| lengths::angstrom(plane::sub(nm, centre_nm));
         let all = members.iter().flat_map(|m| columns.sites(*m as usize));
         let site = |s: &SpecimenSite| {
@@ -73,14 +77,14 @@ impl UnitLikeness {
         let others = columns.inside(&around).filter(|n| !members.contains(&(*n as u32)));
         let neighbour = |n: usize| {
             let at = from(columns.position_nm(n));
-            let strength = column_strength(columns, n);
+            let strength = strengths[n];
             let order = at[0] * SORTED_ALONG[0] + at[1] * SORTED_ALONG[1];
             Neighbour { order, at, strength }
         };
         let mut neighbours: Vec<Neighbour> = others.map(neighbour).collect();
         neighbours.retain(|n| length(n.at) < reach);
         neighbours.sort_by(|a, b| a.order.total_cmp(&b.order));
-        let own = members.iter().map(|m| column_strength(columns, *m as usize));
+        let own = members.iter().map(|m| strengths[*m as usize]);
         let strengths = neighbours.iter().map(|n| n.strength).chain(own);
         UnitLikeness {
             strongest: strengths.fold(0.0, f64::max),
@@ -163,8 +167,11 @@ fn length([x, y]: [f64; 2]) -> f64 {
     (x * x + y * y).sqrt()
 }
 
-fn column_strength(columns: &HeldColumns, column: usize) -> f64 {
-    columns.sites(column).iter().map(|site| strength(held_number(site))).sum()
+/// The strength of each column: how much its atoms scatter at high angles.
+pub(super) fn strengths(columns: &HeldColumns) -> Vec<f64> {
+    let of_number: Vec<f64> = (0..=u8::MAX).map(strength).collect();
+    let of_site = |site: &SpecimenSite| of_number[usize::from(held_number(site))];
+    (0..columns.len()).map(|n| columns.sites(n).iter().map(of_site).sum()).collect()
 }
 
 fn strength(number: u8) -> f64 {

@@ -145,6 +145,27 @@ fn columns_with_equal_atoms_and_neighbours_share_a_family() {
 }
 
 #[test]
+fn the_scan_of_a_unit_lies_where_a_tilted_beam_meets_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = crystal_and_vacuum(folder.path(), [8, 8], HIGH_ANGLES);
+    let tilted =
+        recipe.clone().with_overrides(&["optics.mistilt_mrad=[20.0, 0.0]".parse().unwrap()]);
+    let middle = |recipe: &Recipe| {
+        let whole = specimen(recipe).unwrap();
+        let columns = whole.columns(&recipe.field.full_region());
+        let tag = columns.iter().find_map(|column| column.unit).unwrap();
+        let cell = whole.library_cell(tag.family).unwrap();
+        let unit = cell.units[0].centre;
+        [0, 1].map(|k| cell.scan_origin[k] + 0.5 * cell.scanned[k] - unit[k])
+    };
+    let [straight, tilted] = [middle(&recipe), middle(&tilted.unwrap())];
+    // Half of 8 A of thickness.
+    let way = 4.0 * 0.02f64.tan();
+    assert!((straight[0] - tilted[0] - way).abs() < 2e-3, "{straight:?} {tilted:?}");
+    assert!((straight[1] - tilted[1]).abs() < 1e-9);
+}
+
+#[test]
 fn the_mosaic_of_own_atoms_passes_an_audit_inside_and_at_the_edge() {
     let folder = tempfile::tempdir().unwrap();
     let recipe = crystal_and_vacuum(folder.path(), [16, 18], HIGH_ANGLES);
