@@ -7,7 +7,7 @@ use super::image_comparison::ImageComparison;
 use crate::detect::Detector;
 use crate::engine::{Algorithm, Plan, Settings, simulate_places};
 use crate::error::Result;
-use crate::optics::Aberrations;
+use crate::optics::{Aberration, Aberrations};
 use crate::potential::slices::Slicing;
 use crate::progress::Progress;
 
@@ -17,6 +17,8 @@ const PROBES: usize = 24;
 const ENERGIES_KEV: [f64; 8] = [30.0, 40.0, 60.0, 80.0, 100.0, 120.0, 200.0, 300.0];
 /// Tilts in mrad that are tried if no tilt is set.
 const TILT_MRAD: f64 = 5.0;
+/// Spherical aberrations C30 of lenses without a corrector, in Angstrom, and the largest semiangle in mrad with which they are used.
+const UNCORRECTED: ([f64; 2], f64) = ([1e7, 1.2e7], 15.0);
 /// Thicknesses of equal slices in Angstrom.
 const SLICES_ANGSTROM: [f64; 3] = [0.5, 1.0, 2.0];
 
@@ -25,6 +27,8 @@ const SLICES_ANGSTROM: [f64; 3] = [0.5, 1.0, 2.0];
 pub(crate) enum Suspect {
     /// The defocus, mainly its sign.
     Defocus,
+    /// Another aberration: its sign, its size or its azimuth.
+    Aberration,
     /// The energy of the beam.
     Energy,
     /// The convergence semiangle, which may have been given as a full angle, or in degrees.
@@ -170,6 +174,18 @@ fn changes(settings: &Settings, band_limit_mrad: f64) -> Vec<Change> {
         let words = format!("defocus {other} A in place of {defocus} A");
         add(Suspect::Defocus, words, &|s| set_defocus(&mut s.optics.aberrations, other));
     }
+    for (number, words, other) in other_aberrations(&optics.aberrations) {
+        add(Suspect::Aberration, words, &|s| s.optics.aberrations.0[number] = other);
+    }
+    let spherical = optics.aberrations.0.iter().any(|a| (a.order, a.symmetry) == (3, 0));
+    for magnitude_angstrom in UNCORRECTED.0 {
+        if spherical || optics.semiangle_mrad > UNCORRECTED.1 {
+            break;
+        }
+        let words = format!("C30 {magnitude_angstrom} A in place of 0 A");
+        let lens = Aberration { order: 3, symmetry: 0, magnitude_angstrom, azimuth_rad: 0.0 };
+        add(Suspect::Aberration, words, &|s| s.optics.aberrations.0.push(lens));
+    }
     let energy = optics.energy_kev;
     for other in ENERGIES_KEV.into_iter().filter(|e| (e / energy - 1.0).abs() > 0.01) {
         let words = format!("energy {other} keV in place of {energy} keV");
@@ -237,6 +253,26 @@ fn detectors(settings: &Settings, band_limit_mrad: f64) -> Change {
     }
 }
 
+/// Lists changes of all aberrations but the defocus: the number of the aberration, the change in words, and the changed aberration.
+fn other_aberrations(aberrations: &Aberrations) -> Vec<(usize, String, Aberration)> {
+    let mut changes = Vec::new();
+    let others = aberrations.0.iter().enumerate();
+    for (number, a) in others.filter(|(_, a)| (a.order, a.symmetry) != (1, 0)) {
+        let name = format!("C{}{}", a.order, a.symmetry);
+        let now = a.magnitude_angstrom;
+        for magnitude_angstrom in [-now, 0.0, 10.0 * now, 0.1 * now] {
+            let words = format!("{name} {magnitude_angstrom} A in place of {now} A");
+            changes.push((number, words, Aberration { magnitude_angstrom, ..*a }));
+        }
+        if a.symmetry > 0 && a.azimuth_rad != 0.0 {
+            let (now, azimuth_rad) = (a.azimuth_rad, -a.azimuth_rad);
+            let words = format!("{name} at {azimuth_rad} rad in place of {now} rad");
+            changes.push((number, words, Aberration { azimuth_rad, ..*a }));
+        }
+    }
+    changes
+}
+
 /// Replaces the defocus; all other aberrations stay.
 fn set_defocus(aberrations: &mut Aberrations, defocus_angstrom: f64) {
     aberrations.0.retain(|a| (a.order, a.symmetry) != (1, 0));
@@ -246,17 +282,23 @@ fn set_defocus(aberrations: &mut Aberrations, defocus_angstrom: f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::optics::Optics;
 
     #[test]
     fn changes_are_of_one_setting_each() {
         let mut settings = Settings::default();
         settings.optics.aberrations.add_defocus(50.0);
         settings.optics.tilt_mrad = [3.0, -1.0];
+        let astigmatism =
+            Aberration { order: 1, symmetry: 2, magnitude_angstrom: 30.0, azimuth_rad: 0.3 };
+        settings.optics.aberrations.0.push(astigmatism);
         let all = changes(&settings, 250.0);
         let words: Vec<&str> =
             all.iter().flat_map(|c| c.words.iter().map(String::as_str)).collect();
         for expected in [
             "defocus -50 A in place of 50 A",
+            "C12 -30 A in place of 30 A",
+            "C12 at -0.3 rad in place of 0.3 rad",
             "energy 80 keV in place of 200 keV",
             "a semiangle of 42.0 mrad in place of 21 mrad",
             "a semiangle of 18.9 mrad in place of 21 mrad",
@@ -269,5 +311,14 @@ mod tests {
         let minus = all.iter().find(|c| c.words[0].starts_with("defocus -50")).unwrap();
         assert_eq!(minus.settings.optics.aberrations.defocus_angstrom(), -50.0);
         assert_eq!(minus.settings.optics.tilt_mrad, [3.0, -1.0]);
+        let lacks = |words: &str| all.iter().all(|c| !c.words[0].starts_with(words));
+        assert!(lacks("C10") && lacks("C30"));
+        let uncorrected = Settings {
+            optics: Optics { semiangle_mrad: 10.0, ..Optics::default() },
+            ..Settings::default()
+        };
+        let all = changes(&uncorrected, 250.0);
+        let lens = all.iter().find(|c| c.words[0].starts_with("C30 10000000 A")).unwrap();
+        assert_eq!(lens.settings.optics.aberrations.0[0].magnitude_angstrom, 1e7);
     }
 }
