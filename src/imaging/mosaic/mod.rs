@@ -4,7 +4,8 @@
 //! it by less than 0.5 %. So units with equal contents and equal surroundings share simulations, made once in small cells
 //! ([`image_library`]) and cached on disk ([`library_cache`]). The simulations for the program's own recipes are installed with it
 //! (`supplied_library`). Each pixel shows the unit nearest to it, with narrow ramps halfway between units ([`assembly`]). Columns that do
-//! not repeat are simulated at their place in the field.
+//! not repeat are simulated at their place in the field. In crystals the recipe says which columns repeat; among the atoms of a file or a
+//! stack they are found (`specimen::repeating_units`).
 //!
 //! In each phonon configuration the world is a definite set of atoms ([`super::displaced_atoms`]), which any engine can simulate again.
 
