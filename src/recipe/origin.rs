@@ -124,7 +124,7 @@ impl RecipeText {
             return Err(self.unknown_key(key, known.into_iter()));
         }
         let Some(difficulty) = difficulty else {
-            let message = format!("the recipe has tiers, choose one of them: {there}");
+            let message = format!("choose a tier; the recipe has {there}");
             return Err(Error::choice(&self.path, crate::Setting::Difficulty, message));
         };
         match tiers.remove(difficulty.name()) {

@@ -135,7 +135,7 @@ fn an_unknown_material_is_refused_with_the_nearest() {
 #[test]
 fn a_difficulty_is_asked_for_where_there_are_some() {
     let error = |text: &str, d| Recipe::from_toml_str("r.toml", text, d).unwrap_err().to_string();
-    assert!(error(GOOD, None).contains("choose one of them: easy"));
+    assert!(error(GOOD, None).contains("choose a tier; the recipe has easy"));
     let plain = Recipe::load("srtio3", Difficulty::Easy).unwrap().to_toml();
     assert!(error(&plain, Some(Difficulty::Easy)).contains("no [difficulty.easy]"));
 }

@@ -46,7 +46,7 @@ impl StoredPage {
             let (rows, columns) = first.values.dim();
             if (images.len() + numbers.len()) * rows * columns > MOST_PIXELS {
                 let expected = format!(
-                    "a page holds at most {MOST_PIXELS} pixels; choose one image by its name (--detector) or number (--index)"
+                    "a page holds at most {MOST_PIXELS} pixels; choose one image by its name or its number"
                 );
                 return Err(Error::invalid(Setting::Page, &self.title, expected));
             }
