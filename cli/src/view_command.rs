@@ -106,9 +106,7 @@ impl View {
         if let Some(name) = &self.detector {
             world = world.on_detector(name)?;
         }
-        let ending = if self.html { "html" } else { "view.png" };
-        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
-        check_outputs([&path], [&self.world], self.overwrite)?;
+        let path = self.free_output()?;
         let part = WorldPart::of_region(&world, self.region)?;
         if self.html {
             return self.write_page(&world, &path);
@@ -163,18 +161,13 @@ impl View {
         if self.region.is_some() || !self.picture.overlay.is_empty() {
             bail!("{}: is no world; leave out --region and --overlay", self.world.display());
         }
-        let ending = if self.html { "html" } else { "view.png" };
-        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
-        check_outputs([&path], [&self.world], self.overwrite)?;
+        let path = self.free_output()?;
         if self.html {
             if self.picture.clean {
                 bail!("--clean: the page has the noise-free image too; leave it out");
             }
-            let page = StoredPage {
-                title: self.world.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
-                name: self.detector.clone(),
-                index: self.index,
-            };
+            let page =
+                StoredPage { title: self.title(), name: self.detector.clone(), index: self.index };
             page.page(images)?.write(&path)?;
             return self.tell_page(&path);
         }
@@ -198,20 +191,32 @@ impl View {
                 self.world.display()
             );
         }
-        let ending = if self.html { "html" } else { "view.png" };
-        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
-        check_outputs([&path], [&self.world], self.overwrite)?;
+        let path = self.free_output()?;
         let reporter = Reporter::new(self.quiet);
         let file = || self.world.display().to_string();
         if self.html {
-            let title = self.world.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            view_patterns::page(patterns, title, &reporter).with_context(file)?.write(&path)?;
+            view_patterns::page(patterns, self.title(), &reporter)
+                .with_context(file)?
+                .write(&path)?;
             return self.tell_page(&path);
         }
         let (drawn, what) =
             view_patterns::picture(patterns, &picture.picture(), &reporter).with_context(file)?;
         drawn.write_png(&path)?;
         self.tell(&format!("{}: {what}", path.display()))
+    }
+
+    /// Returns the file to write, after checking that it may be written.
+    fn free_output(&self) -> anyhow::Result<PathBuf> {
+        let ending = if self.html { "html" } else { "view.png" };
+        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
+        check_outputs([&path], [&self.world], self.overwrite)?;
+        Ok(path)
+    }
+
+    /// Returns the title of a page.
+    fn title(&self) -> String {
+        self.world.file_stem().unwrap_or_default().to_string_lossy().into_owned()
     }
 
     fn tell_page(&self, path: &Path) -> anyhow::Result<()> {
@@ -224,8 +229,7 @@ impl View {
     }
 
     fn write_page(&self, world: &WorldFile, path: &Path) -> anyhow::Result<()> {
-        let title = self.world.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        self.picture.picture().page(world, title, self.region)?.write(path)?;
+        self.picture.picture().page(world, self.title(), self.region)?.write(path)?;
         self.tell_page(path)
     }
 }

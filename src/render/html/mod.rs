@@ -14,6 +14,7 @@ mod blobs;
 mod column_list;
 mod cube;
 mod header;
+mod plain_images;
 mod pyramid;
 mod stack;
 mod stored;

@@ -1,12 +1,10 @@
 //! The page of simulated images.
 
-use ndarray::{ArrayView3, Axis, s};
+use ndarray::{ArrayView3, Axis};
 
-use super::blobs::Blobs;
-use super::header::{PageHeader, PageImage, Start};
-use super::pyramid::{Pyramid, TILE};
-use super::world::place;
-use super::{Page, colormaps};
+use super::Page;
+use super::header::PageHeader;
+use super::plain_images::{PlainImages, SeriesPlace};
 use crate::error::{Error, Result};
 use crate::render::enlarge::check_finite;
 use crate::setting::Setting;
@@ -49,7 +47,7 @@ impl StackPage<'_> {
             return Err(Error::invalid(Setting::Images, 0, "expected at least one"));
         };
         let (_, rows, columns) = first.data.dim();
-        let (mut images, mut pyramids) = (Vec::new(), Vec::new());
+        let mut images = PlainImages::default();
         for image in &self.images {
             if image.data.dim() != (self.thicknesses_angstrom.len(), rows, columns) {
                 let expected = format!("expected {rows} x {columns} pixels at each thickness");
@@ -60,39 +58,18 @@ impl StackPage<'_> {
             {
                 let values = slice.as_standard_layout();
                 check_finite(values.as_slice().unwrap_or_default(), columns)?;
-                let read = |rows| Ok(slice.slice(s![rows, ..]).to_owned());
-                let pyramid = Pyramid::new([rows, columns], &read)?;
-                images.push(PageImage {
-                    name: image.name.to_owned(),
-                    thickness: Some(*thickness),
-                    number: None,
-                    quantity: image.quantity.to_owned(),
-                    scale: 1.0,
-                    offset: 0.0,
-                    stored: None,
-                    electrons: None,
-                    exact: pyramid.exact,
-                    levels: Vec::new(),
-                });
-                pyramids.push(pyramid);
+                let at = SeriesPlace { thickness: Some(*thickness), ..SeriesPlace::default() };
+                images.add(image.name.to_owned(), &at, image.quantity.to_owned(), slice)?;
             }
         }
-        let mut blobs = Blobs::default();
-        place(&mut images, &mut pyramids, 1, &mut blobs);
-        place(&mut images, &mut pyramids, 0, &mut blobs);
-        let header = PageHeader {
+        images.page(PageHeader {
             title: self.title.clone(),
             unit: "\u{c5}",
             size: [columns, rows],
             pixel: self.step_angstrom,
             origin: self.origin_angstrom,
             facts: self.facts.clone(),
-            tile: TILE,
-            images,
-            colormaps: colormaps(),
-            start: Start::default(),
             ..PageHeader::default()
-        };
-        Page::new(&header, &blobs)
+        })
     }
 }

@@ -1,15 +1,12 @@
 //! The page of a file of images: a recording, a series of recordings, or simulated images.
 
-use super::blobs::Blobs;
-use super::header::{PageHeader, PageImage, Start};
-use super::pyramid::{Pyramid, TILE};
-use super::world::place;
-use super::{Page, colormaps};
+use super::Page;
+use super::header::PageHeader;
+use super::plain_images::{PlainImages, SeriesPlace};
 use crate::error::{Error, Result};
 use crate::io::{ImageKind, StoredImage, StoredImages};
 use crate::lengths;
 use crate::setting::Setting;
-use ndarray::s;
 
 /// Largest number of pixels of all images of a page: about 400 MB of HTML.
 const MOST_PIXELS: usize = 100_000_000;
@@ -37,8 +34,7 @@ impl StoredPage {
     /// # Errors
     /// Errors of the file; [`Error::Invalid`] for more pixels than a page holds.
     pub fn page(&self, stored: &StoredImages) -> Result<Page> {
-        let mut images = Vec::new();
-        let mut pyramids = Vec::new();
+        let mut images = PlainImages::default();
         let mut shown: Option<([usize; 2], [f64; 2])> = None;
         for named in self.named(stored) {
             let first = named.read(stored, self.index)?;
@@ -58,42 +54,22 @@ impl StoredPage {
                     let expected = "expected images of one size and pixel";
                     return Err(Error::invalid(Setting::Images, named.name, expected));
                 }
-                let read = |rows| Ok(image.values.slice(s![rows, ..]).to_owned());
-                let pyramid = Pyramid::new(shape, &read)?;
-                images.push(PageImage {
-                    name: named.shown(),
-                    thickness: None,
-                    number: series.then_some(number),
-                    quantity: image.units.unwrap_or_default(),
-                    scale: 1.0,
-                    offset: 0.0,
-                    stored: None,
-                    electrons: None,
-                    exact: pyramid.exact,
-                    levels: Vec::new(),
-                });
-                pyramids.push(pyramid);
+                let at = SeriesPlace { number: series.then_some(number), ..SeriesPlace::default() };
+                let quantity = image.units.unwrap_or_default();
+                images.add(named.shown(), &at, quantity, image.values.view())?;
             }
         }
         let Some((shape, step)) = shown else {
             return Err(Error::invalid(Setting::Images, 0, "expected at least one"));
         };
-        let mut blobs = Blobs::default();
-        place(&mut images, &mut pyramids, 1, &mut blobs);
-        place(&mut images, &mut pyramids, 0, &mut blobs);
-        let header = PageHeader {
+        images.page(PageHeader {
             title: self.title.clone(),
             unit: "nm",
             size: [shape[1], shape[0]],
             pixel: lengths::nm(step),
             facts: facts(stored, shape, step),
-            tile: TILE,
-            images,
-            colormaps: colormaps(),
-            start: Start::default(),
             ..PageHeader::default()
-        };
-        Page::new(&header, &blobs)
+        })
     }
 
     /// The images that are shown, in the order of the page.
