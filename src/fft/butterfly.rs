@@ -110,6 +110,14 @@ fn dft8<S: Simd>(s: S, x: [Lanes<S>; 8]) -> [Lanes<S>; 8] {
     ]
 }
 
+/// Stores a transform of length `N` = `R`. `copy_from_slice` is a call through memory where the compiler does not inline it.
+#[inline(always)]
+fn put<T: Copy, const R: usize, const N: usize>(x: &mut [T; R], y: [T; N]) {
+    for k in 0..N.min(R) {
+        x[k] = y[k];
+    }
+}
+
 /// Forward transform of length `R` (2, 3, 4, 5 or 8), in place.
 #[inline(always)]
 pub fn dft<S: Simd, const R: usize>(s: S, x: &mut [Lanes<S>; R]) {
@@ -121,19 +129,19 @@ pub fn dft<S: Simd, const R: usize>(s: S, x: &mut [Lanes<S>; R]) {
         }
         3 => {
             let y = dft3(s, [x[0], x[1], x[2]]);
-            x.copy_from_slice(&y);
+            put(x, y);
         }
         4 => {
             let y = dft4(s, [x[0], x[1], x[2], x[3]]);
-            x.copy_from_slice(&y);
+            put(x, y);
         }
         5 => {
             let y = dft5(s, [x[0], x[1], x[2], x[3], x[4]]);
-            x.copy_from_slice(&y);
+            put(x, y);
         }
         8 => {
             let y = dft8(s, [x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]]);
-            x.copy_from_slice(&y);
+            put(x, y);
         }
         _ => unreachable!("radices are chosen by RadixPlan::new"),
     }

@@ -165,7 +165,7 @@ mod x86 {
             }
             if is::<S, V3>() {
                 let mut out = [[_mm256_setzero_ps(); 2]; MOST_COLUMNS];
-                out[..4].copy_from_slice(&load256(tile, stride));
+                [out[0], out[1], out[2], out[3]] = load256(tile, stride);
                 return Some(transmute_copy(&out));
             }
         }

@@ -1,5 +1,7 @@
 //! Describes errors of TOML with the keys of recipes.
 
+use serde::de::{Deserializer, Visitor};
+
 use super::atoms_table::AtomsTable;
 use super::detector_tables::{DetectorTable, NamedDetectorTable};
 use super::optics_table::OpticsTable;
@@ -58,12 +60,39 @@ fn with_keys(message: &str) -> String {
     }
 }
 
-/// Returns the keys of a table of recipes, by the name of its type, from the list that serde gives for an unknown key.
-fn keys_of(name: &str) -> Vec<String> {
-    fn known<T: serde::de::DeserializeOwned>() -> Vec<String> {
-        let Err(error) = toml::from_str::<T>("no-such-key = 0") else { return Vec::new() };
-        let quoted = error.message().split('`').skip(1).step_by(2).skip(1);
-        quoted.map(str::to_owned).collect()
+/// Refuses all values, and keeps the keys of the table that was asked for. Serde's code to read a table is not compiled for it.
+struct KeysOfTable<'k>(&'k mut &'static [&'static str]);
+
+impl<'de> Deserializer<'de> for KeysOfTable<'_> {
+    type Error = serde::de::value::Error;
+
+    fn deserialize_any<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Self::Error> {
+        Err(serde::de::Error::custom("no table"))
+    }
+
+    fn deserialize_struct<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        keys: &'static [&'static str],
+        _: V,
+    ) -> Result<V::Value, Self::Error> {
+        *self.0 = keys;
+        Err(serde::de::Error::custom("keys only"))
+    }
+
+    serde::forward_to_deserialize_any! {
+        bool i8 i16 i32 i64 u8 u16 u32 u64 f32 f64 char str string bytes byte_buf option unit unit_struct newtype_struct seq tuple
+        tuple_struct map enum identifier ignored_any
+    }
+}
+
+/// Returns the keys of a table of recipes, by the name of its type.
+fn keys_of(name: &str) -> &'static [&'static str] {
+    fn known<T: serde::de::DeserializeOwned>() -> &'static [&'static str] {
+        let mut keys: &'static [&'static str] = &[];
+        // It always refuses.
+        let _ = T::deserialize(KeysOfTable(&mut keys));
+        keys
     }
     match name {
         "Field" => known::<Field>(),
@@ -88,7 +117,7 @@ fn keys_of(name: &str) -> Vec<String> {
         "DetectorTable" => known::<DetectorTable>(),
         "NamedDetectorTable" => known::<NamedDetectorTable>(),
         "Dose" => known::<Dose>(),
-        _ => Vec::new(),
+        _ => &[],
     }
 }
 

@@ -281,11 +281,11 @@ impl ReplayWorld {
             let first = row * STRIDE_PX;
             let band = self.image.slice(s![first..first + TILE_PX, ..width]);
             let band = band.mapv(|v| ((v - low) / (high - low)).clamp(0.0, 1.0) as f32);
-            for column in 0..columns {
-                let left = column * STRIDE_PX;
-                writer.tile(row, column, band.slice(s![.., left..left + TILE_PX]))?;
-                progress.advance(1);
-            }
+            let lefts = (0..columns).map(|column| column * STRIDE_PX);
+            let tiles: Vec<_> =
+                lefts.map(|left| band.slice(s![.., left..left + TILE_PX])).collect();
+            writer.tiles(row, &tiles)?;
+            progress.advance(columns as u64);
             let own = if row + 1 == rows { TILE_PX } else { STRIDE_PX };
             overview.add(first, band.slice(s![..own, ..]));
             writer.valid_rows(first, self.valid.slice(s![first..first + own, ..width]))?;

@@ -8,28 +8,38 @@ pub(crate) type Vec3 = [f64; 3];
 pub(crate) type Mat3 = [Vec3; 3];
 
 /// Scalar product.
+#[inline]
 pub(crate) fn dot(a: Vec3, b: Vec3) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// Vector product.
+#[inline]
 pub(crate) fn cross(a: Vec3, b: Vec3) -> Vec3 {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Length.
+#[inline]
 pub fn norm(a: Vec3) -> f64 {
     dot(a, a).sqrt()
 }
 
 /// Difference `a - b`.
+#[inline]
 pub(crate) fn subtract(a: Vec3, b: Vec3) -> Vec3 {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 /// Multiplies the row vector `v` by the matrix `m`: fractional to Cartesian if `m` is a cell.
+#[inline]
 pub fn row_times(v: Vec3, m: &Mat3) -> Vec3 {
-    std::array::from_fn(|j| v[0] * m[0][j] + v[1] * m[1][j] + v[2] * m[2][j])
+    let [x, y, z] = v;
+    [
+        x * m[0][0] + y * m[1][0] + z * m[2][0],
+        x * m[0][1] + y * m[1][1] + z * m[2][1],
+        x * m[0][2] + y * m[1][2] + z * m[2][2],
+    ]
 }
 
 /// Returns the signed volume of the cell; negative if its vectors are left-handed.

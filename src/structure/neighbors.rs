@@ -150,12 +150,18 @@ pub(super) fn try_each_pair(
         return ControlFlow::Continue(());
     };
     let boxes = Boxes::new(structure, &inverse, cutoff);
-    let [rx, ry, rz] = boxes.reach;
+    let mut near: [Vec<NearBox>; 3] = Default::default();
     for i in 0..structure.atoms.len() {
-        for dx in -rx..=rx {
-            for dy in -ry..=ry {
-                for dz in -rz..=rz {
-                    visit_box(structure, &boxes, i, [dx, dy, dz], cutoff, &mut visit)?;
+        for (axis, near) in near.iter_mut().enumerate() {
+            let (home, reach, count) = (boxes.home[i][axis], boxes.reach[axis], boxes.counts[axis]);
+            near.clear();
+            near.extend((-reach..=reach).map(|offset| NearBox::of(home + offset, count)));
+        }
+        let [along_x, along_y, along_z] = &near;
+        for x in along_x {
+            for y in along_y {
+                for z in along_z {
+                    visit_box(structure, &boxes, i, [*x, *y, *z], cutoff, &mut visit)?;
                 }
             }
         }
@@ -163,22 +169,33 @@ pub(super) fn try_each_pair(
     ControlFlow::Continue(())
 }
 
+/// Number of a box along an axis, and by how many periods the box was moved to get it.
+#[derive(Clone, Copy)]
+struct NearBox {
+    number: i64,
+    turns: i64,
+}
+
+impl NearBox {
+    fn of(place: i64, count: i64) -> Self {
+        NearBox { number: place.rem_euclid(count), turns: place.div_euclid(count) }
+    }
+}
+
 fn visit_box(
     structure: &Structure,
     boxes: &Boxes,
     i: usize,
-    offset: [i64; 3],
+    [x, y, z]: [NearBox; 3],
     cutoff: f64,
     visit: &mut impl FnMut(usize, usize, f64) -> ControlFlow<()>,
 ) -> ControlFlow<()> {
-    let target: [i64; 3] = std::array::from_fn(|a| boxes.home[i][a] + offset[a]);
-    let turns: [i64; 3] = std::array::from_fn(|a| target[a].div_euclid(boxes.counts[a]));
-    let inside = std::array::from_fn(|a| target[a].rem_euclid(boxes.counts[a]));
-    let members = boxes.members(inside);
+    let members = boxes.members([x.number, y.number, z.number]);
     if members.is_empty() {
         return ControlFlow::Continue(());
     }
-    let shift = row_times(turns.map(|t| t as f64), &structure.cell);
+    let turns = [x.turns, y.turns, z.turns];
+    let shift = row_times([x.turns as f64, y.turns as f64, z.turns as f64], &structure.cell);
     let here = subtract(boxes.positions[i], shift);
     for &j in members {
         if j < i || (j == i && turns == [0; 3]) {

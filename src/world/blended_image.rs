@@ -199,11 +199,11 @@ impl<'a> BlendedImage<'a> {
             let clean = (keep_clean || made_here).then(|| self.clean(rows.clone()));
             let clean = clean.transpose()?;
             if let Some(clean) = clean.as_ref().filter(|_| keep_clean) {
-                self.tiles(clean, |column, tile| writer.clean_tile(row, column, tile))?;
+                writer.clean_tiles(row, &self.tiles(clean))?;
             }
             let ScannedRows { values: mut band, valid } = bands.rows(rows, clean)?;
             band.mapv_inplace(|v| ((f64::from(v) - offset) / scale).clamp(0.0, 1.0) as f32);
-            self.tiles(&band, |column, tile| writer.tile(row, column, tile))?;
+            writer.tiles(row, &self.tiles(&band))?;
             let own = if row + 1 == self.grid[0] { self.tile } else { self.stride };
             overview.add(first, band.slice(s![..own, ..]));
             writer.valid_rows(first, valid.slice(s![..own, ..]))?;
@@ -213,15 +213,9 @@ impl<'a> BlendedImage<'a> {
         writer.overview(overview.mean().view())
     }
 
-    fn tiles(
-        &self,
-        band: &Array2<f32>,
-        write: impl Fn(usize, ArrayView2<f32>) -> Result<()>,
-    ) -> Result<()> {
-        (0..self.grid[1]).try_for_each(|column| {
-            let start = column * self.stride;
-            write(column, band.slice(s![.., start..start + self.tile]))
-        })
+    fn tiles<'b>(&self, band: &'b Array2<f32>) -> Vec<ArrayView2<'b, f32>> {
+        let starts = (0..self.grid[1]).map(|column| column * self.stride);
+        starts.map(|start| band.slice(s![.., start..start + self.tile])).collect()
     }
 }
 

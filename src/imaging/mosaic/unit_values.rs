@@ -150,7 +150,9 @@ impl WithSimd for Interpolation<'_> {
                 row = row.min(self.lines - TAPS);
                 let lines = line_sums(simd, &samples[row..], self.lines, &across);
                 let (to, _) = S::as_mut_simd_f64s(&mut sums[row..][..TAPS]);
-                to.copy_from_slice(&lines[..TAPS / S::F64_LANES]);
+                for (to, line) in to.iter_mut().zip(&lines) {
+                    *to = *line;
+                }
                 row += TAPS;
             }
         }

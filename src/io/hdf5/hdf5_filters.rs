@@ -1,10 +1,13 @@
-//! Unpacks the chunks of HDF5 files.
+//! Packs and unpacks the chunks of HDF5 files: the library does this on one thread.
 
-use std::io::Read;
+use std::io::{Read, Write};
 
+use flate2::Compression;
 use flate2::read::ZlibDecoder;
+use flate2::write::ZlibEncoder;
 use hdf5::filters::Filter;
 use hdf5::plist::DatasetCreate;
+use ndarray::ArrayView2;
 
 use super::hdf5_guard::{Guarded, damaged};
 
@@ -78,6 +81,19 @@ fn inflated(packed: &[u8], most: usize) -> Guarded<Vec<u8>> {
         true => Err(format!("unpacks to more than {most} bytes")),
         false => Ok(bytes),
     }
+}
+
+/// Packs a chunk as the filters shuffle and deflate of this level do.
+pub fn shuffled_and_deflated(values: ArrayView2<f32>, level: u8) -> std::io::Result<Vec<u8>> {
+    const BYTES: usize = size_of::<f32>();
+    let mut shuffled = Vec::with_capacity(BYTES * values.len());
+    for byte in 0..BYTES {
+        shuffled.extend(values.iter().map(|value| value.to_ne_bytes()[byte]));
+    }
+    let packed = Vec::with_capacity(shuffled.len());
+    let mut encoder = ZlibEncoder::new(packed, Compression::new(u32::from(level)));
+    encoder.write_all(&shuffled)?;
+    encoder.finish()
 }
 
 /// Undoes shuffling: the first bytes of all values, then the second bytes ...; the remaining bytes stay at the end.

@@ -2,6 +2,7 @@
 
 use super::Vec3;
 use crate::structure::for_each_pair;
+use crate::structure::lattice::subtract;
 use crate::structure::{Atom, Structure};
 
 /// Atomic number of carbon.
@@ -18,18 +19,16 @@ pub struct Network {
 
 impl Network {
     /// Returns the vector from atom `i` to the nearest image of `j`. Neither may be farther than a period outside the box.
+    #[inline]
     pub fn vector(&self, i: usize, j: usize) -> Vec3 {
-        let (from, to) = (self.positions[i], self.positions[j]);
-        std::array::from_fn(|k| {
-            let (d, period) = (to[k] - from[k], self.period[k]);
-            if d > 0.5 * period {
-                d - period
-            } else if d < -0.5 * period {
-                d + period
-            } else {
-                d
-            }
-        })
+        let [dx, dy, dz] = subtract(self.positions[j], self.positions[i]);
+        let nearest = |d: f64, period: f64| match d {
+            _ if d > 0.5 * period => d - period,
+            _ if d < -0.5 * period => d + period,
+            _ => d,
+        };
+        let [px, py, pz] = self.period;
+        [nearest(dx, px), nearest(dy, py), nearest(dz, pz)]
     }
 
     /// Moves every atom into the box.

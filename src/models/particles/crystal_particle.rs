@@ -6,7 +6,9 @@ use rayon::prelude::*;
 
 use super::facets::Polyhedron;
 use crate::structure::Structure;
-use crate::structure::lattice::{Vec3, determinant, face_distances, inverse, norm, row_times};
+use crate::structure::lattice::{
+    Vec3, determinant, face_distances, inverse, norm, row_times, subtract,
+};
 
 /// The centre is tried at this many places along each vector of the cell; at half as many, and at a few atoms, for particles of many atoms.
 const CENTRES: usize = 4;
@@ -136,7 +138,8 @@ impl Bonds {
 
 fn place(crystal: &Structure, (cell, atom): Label) -> Vec3 {
     let corner = row_times(cell.map(f64::from), &crystal.cell);
-    std::array::from_fn(|k| corner[k] + crystal.atoms[atom].position[k])
+    let [x, y, z] = crystal.atoms[atom].position;
+    [corner[0] + x, corner[1] + y, corner[2] + z]
 }
 
 fn sum(cell: [i32; 3], by: [i32; 3]) -> [i32; 3] {
@@ -232,12 +235,12 @@ fn inside(crystal: &Structure, sized: &SizedBody, centre: Vec3) -> Vec<Label> {
     for i in range(0) {
         for (j, k) in range(1).flat_map(|j| range(2).map(move |k| (j, k))) {
             let corner = row_times([i, j, k].map(f64::from), &crystal.cell);
-            if norm(std::array::from_fn(|x| corner[x] - centre[x])) > reach + of_cell + MARGIN {
+            if norm(subtract(corner, centre)) > reach + of_cell + MARGIN {
                 continue;
             }
             for atom in 0..crystal.atoms.len() {
                 let at = place(crystal, ([i, j, k], atom));
-                if sized.holds(std::array::from_fn(|x| at[x] - centre[x])) {
+                if sized.holds(subtract(at, centre)) {
                     found.push(([i, j, k], atom));
                 }
             }

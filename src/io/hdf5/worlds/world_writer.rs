@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use hdf5::types::VarLenUnicode;
 use hdf5::{Dataset, Extents, File, Group, H5Type};
 use ndarray::ArrayView2;
+use rayon::prelude::*;
 
 use super::schema;
 use super::truth_writer::TruthWriter;
@@ -13,6 +14,7 @@ use crate::detect::{CentreOfMass, Detector};
 use crate::error::{Error, Result};
 use crate::io::hdf5::At;
 use crate::io::hdf5::hdf5_create::{self, number, text};
+use crate::io::hdf5::hdf5_filters::shuffled_and_deflated;
 use crate::recipe::OVERVIEW_FACTOR;
 
 const DEFLATE: u8 = 1;
@@ -151,26 +153,21 @@ impl WorldWriter {
         write().at(&self.path)
     }
 
-    /// Writes a normalised tile.
+    /// Writes a row of normalised tiles.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub(crate) fn tile(&self, row: usize, column: usize, pixels: ArrayView2<f32>) -> Result<()> {
-        write_tile(&self.tiles, row, column, pixels).at(&self.path)
+    pub(crate) fn tiles(&self, row: usize, tiles: &[ArrayView2<f32>]) -> Result<()> {
+        write_tiles(&self.tiles, row, tiles).at(&self.path)
     }
 
-    /// Writes a noiseless tile, in fractions of the beam; does nothing if the file has no noiseless tiles.
+    /// Writes a row of noiseless tiles, in fractions of the beam; does nothing if the file has no noiseless tiles.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub(crate) fn clean_tile(
-        &self,
-        row: usize,
-        column: usize,
-        pixels: ArrayView2<f32>,
-    ) -> Result<()> {
+    pub(crate) fn clean_tiles(&self, row: usize, tiles: &[ArrayView2<f32>]) -> Result<()> {
         match &self.clean {
-            Some(group) => write_tile(group, row, column, pixels).at(&self.path),
+            Some(group) => write_tiles(group, row, tiles).at(&self.path),
             None => Ok(()),
         }
     }
@@ -314,10 +311,18 @@ pub(super) fn write_angles(group: &Group, detector: &Detector) -> hdf5::Result<(
     }
 }
 
-fn write_tile(group: &Group, row: usize, col: usize, pixels: ArrayView2<f32>) -> hdf5::Result<()> {
-    let builder = group.new_dataset_builder().chunk(pixels.dim()).shuffle().deflate(DEFLATE);
-    let name = schema::tile_name(row, col);
-    builder.with_data(&pixels.as_standard_layout()).create(name.as_str()).map(drop)
+/// Writes a row of tiles, which all threads pack.
+fn write_tiles(group: &Group, row: usize, tiles: &[ArrayView2<f32>]) -> hdf5::Result<()> {
+    let packed = tiles.par_iter().map(|tile| shuffled_and_deflated(tile.view(), DEFLATE));
+    let packed: std::io::Result<Vec<Vec<u8>>> = packed.collect();
+    let packed = packed.map_err(|e| e.to_string())?;
+    for (column, (tile, bytes)) in tiles.iter().zip(&packed).enumerate() {
+        let (height, width) = tile.dim();
+        let name = schema::tile_name(row, column);
+        let dataset = compressed::<f32>(group, &name, tile.dim().into(), &[height, width])?;
+        hdf5_create::packed_chunk(&dataset, bytes)?;
+    }
+    Ok(())
 }
 
 pub(super) fn compressed<T: H5Type>(
