@@ -70,7 +70,7 @@ fn difference(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
 #[test]
 fn a_straight_raster_has_the_pixels_of_the_field_and_a_turned_one_its_places() {
     let field = &*FIELD;
-    let pixels = PixelRect::new([100, 90], [30, 36]);
+    let pixels = PixelRect::new([100, 90], [20, 26]);
     let straight = raster(field, &pixels);
     let imagers: [&dyn RegionImager; 2] = [&field.direct, &field.mosaic];
     for (imager, most) in imagers.into_iter().zip([0.5, 1e-6]) {
