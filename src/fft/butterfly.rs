@@ -113,8 +113,8 @@ fn dft8<S: Simd>(s: S, x: [Lanes<S>; 8]) -> [Lanes<S>; 8] {
 /// Stores a transform of length `N` = `R`. `copy_from_slice` is a call through memory where the compiler does not inline it.
 #[inline(always)]
 fn put<T: Copy, const R: usize, const N: usize>(x: &mut [T; R], y: [T; N]) {
-    for k in 0..N.min(R) {
-        x[k] = y[k];
+    for (x, y) in x.iter_mut().zip(&y) {
+        *x = *y;
     }
 }
 

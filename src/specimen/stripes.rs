@@ -32,26 +32,36 @@ pub fn for_each_stripe(
     field: &Field,
     stage: &str,
     progress: &dyn Progress,
-    mut visit: impl FnMut(&Stripe) -> Result<()>,
+    mut visit: impl FnMut(&Stripe) -> Result<()> + Send,
 ) -> Result<()> {
     let shape = field.pixels(field.built_grid());
     let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
     let stripes: Vec<usize> = (0..shape[0]).step_by(STRIPE_PX).collect();
     progress.start(stage, "row", shape[0] as u64);
+    let stripe = |&row: &usize| {
+        let rows = row..shape[0].min(row + STRIPE_PX);
+        let area = Region::of_pixels([first[0] + row, first[1]], [rows.len(), shape[1]], pixel);
+        Stripe { rows, sites: specimen.query(&area) }
+    };
+    let listed = |rows: &[usize]| rows.par_iter().map(stripe).collect::<Vec<Stripe>>();
+    let mut visit_all = |stripes: &[Stripe]| {
+        stripes.iter().try_for_each(|stripe| {
+            visit(stripe)?;
+            progress.advance(stripe.rows.len() as u64);
+            Ok(())
+        })
+    };
+    // One thread visits stripes while the others list the next ones.
+    let mut ready = Vec::new();
     for rows in stripes.chunks(rayon::current_num_threads()) {
         if progress.interrupted() {
             return Err(Error::Interrupted);
         }
-        let stripe = |&row: &usize| {
-            let rows = row..shape[0].min(row + STRIPE_PX);
-            let area = Region::of_pixels([first[0] + row, first[1]], [rows.len(), shape[1]], pixel);
-            Stripe { rows, sites: specimen.query(&area) }
-        };
-        for stripe in rows.par_iter().map(stripe).collect::<Vec<Stripe>>() {
-            visit(&stripe)?;
-            progress.advance(stripe.rows.len() as u64);
-        }
+        let (visited, next) = rayon::join(|| visit_all(&ready), || listed(rows));
+        visited?;
+        ready = next;
     }
+    visit_all(&ready)?;
     progress.finish();
     Ok(())
 }

@@ -79,7 +79,7 @@ pub fn export(
     path: &Path,
     options: &ExportOptions,
     progress: &dyn Progress,
-    mut visit: impl FnMut(&Sites),
+    mut visit: impl FnMut(&Sites) + Send,
 ) -> Result<ExportSummary> {
     if !(0.0..=1e4).contains(&options.vacuum_angstrom) {
         let expected = "expected a length from 0 to 10000";

@@ -2,7 +2,8 @@
 
 use std::ops::Range;
 
-use ndarray::{Array2, ArrayView2, s};
+use ndarray::{Array2, ArrayView1, ArrayView2, s};
+use rayon::prelude::*;
 
 use super::field_scan::{FieldScan, FieldScanRows, ScannedRows};
 use super::subtile_store::SubtileStore;
@@ -152,7 +153,7 @@ impl<'a> BlendedImage<'a> {
     /// [`Error::Io`], [`Error::Interrupted`].
     pub(crate) fn range(&self, progress: &dyn Progress) -> Result<StoredRange> {
         progress.start("scaling", "row", self.shape[0] as u64);
-        let mut limits = [f32::INFINITY, f32::NEG_INFINITY];
+        let mut limits = NO_LIMITS;
         let keeps = self.scan.is_none() && kept_pixels(self.shape) > 0;
         let mut kept = keeps.then(|| Array2::zeros(self.shape));
         let mut bands = self.bands(None);
@@ -160,7 +161,7 @@ impl<'a> BlendedImage<'a> {
             stop_if_asked(progress)?;
             let rows = first..(first + self.tile).min(self.shape[0]);
             let band = bands.rows(rows.clone(), None)?.values;
-            limits = band.iter().fold(limits, |[low, high], &v| [low.min(v), high.max(v)]);
+            limits = wider(limits, limits_of(&band));
             if let Some(kept) = &mut kept {
                 kept.slice_mut(s![rows.clone(), ..]).assign(&band);
             }
@@ -202,7 +203,9 @@ impl<'a> BlendedImage<'a> {
                 writer.clean_tiles(row, &self.tiles(clean))?;
             }
             let ScannedRows { values: mut band, valid } = bands.rows(rows, clean)?;
-            band.mapv_inplace(|v| ((f64::from(v) - offset) / scale).clamp(0.0, 1.0) as f32);
+            let scaled = |v: f32| ((f64::from(v) - offset) / scale).clamp(0.0, 1.0) as f32;
+            let lines: Vec<_> = band.outer_iter_mut().collect();
+            lines.into_par_iter().for_each(|mut line| line.mapv_inplace(scaled));
             writer.tiles(row, &self.tiles(&band))?;
             let own = if row + 1 == self.grid[0] { self.tile } else { self.stride };
             overview.add(first, band.slice(s![..own, ..]));
@@ -245,6 +248,21 @@ impl StoredBands<'_> {
         let valid = Array2::from_elem(values.dim(), true);
         Ok(ScannedRows { values, valid })
     }
+}
+
+/// The least and the greatest value of an image. Zeros have no sign, since their order would depend on the threads.
+fn limits_of(image: &Array2<f32>) -> [f32; 2] {
+    let lines: Vec<_> = image.outer_iter().collect();
+    let of_line =
+        |line: ArrayView1<f32>| line.iter().fold(NO_LIMITS, |all, v| wider(all, [*v + 0.0; 2]));
+    lines.into_par_iter().map(of_line).reduce(|| NO_LIMITS, wider)
+}
+
+/// The limits of no value at all.
+const NO_LIMITS: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
+
+fn wider(a: [f32; 2], b: [f32; 2]) -> [f32; 2] {
+    [a[0].min(b[0]), a[1].max(b[1])]
 }
 
 fn stop_if_asked(progress: &dyn Progress) -> Result<()> {

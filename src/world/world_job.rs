@@ -261,12 +261,17 @@ fn verify(path: &Path, counts: Counts) -> Result<()> {
     let others = others.collect::<Result<Vec<_>>>()?;
     for world in std::iter::once(&world).chain(&others) {
         let [rows, columns] = world.metadata().grid_shape;
-        for (r, c) in (0..rows).flat_map(|r| (0..columns).map(move |c| (r, c))) {
-            world.tile(r, c)?;
+        let read = |n: usize| {
+            let (row, column) = (n / columns, n % columns);
+            world.tile(row, column)?;
             if world.has_clean() {
-                world.clean_tile(r, c)?;
+                world.clean_tile(row, column)?;
             }
-        }
+            Ok(())
+        };
+        // All threads unpack tiles; of several errors, the first tile's is given.
+        let tiles = (0..rows * columns).into_par_iter().map(read);
+        tiles.find_first(Result::is_err).unwrap_or(Ok(()))?;
     }
     let found = world.site_count()? as u64;
     match found == counts.sites {
