@@ -4,9 +4,9 @@
     python benches/defaults.py [--program target/release/stemgen] [--full] [CASE ...]
 
 Needs NumPy and h5py. Each case is simulated three times: by the plain command, by the best command known, and by the exact engine of a
-specimen without end. It prints the processor seconds of the first two, and the rms difference of each from the third, of the worst image, in
-per cent of its mean. Without --full, fewer phonons are taken. The aims: at most 1.5 times the time of the best command,
-and an error within 0.5 %.
+specimen without end (where that takes too long: wide windows, thin slices). It prints the processor seconds of the first two, and the rms
+difference of each from the third, of the worst image, in per cent of its mean. Without --full, fewer phonons are taken. The aims: at most
+1.5 times the time of the best command, and an error within 0.5 %.
 """
 
 from __future__ import annotations
@@ -158,8 +158,9 @@ CASES: dict[str, Case] = {
     "platinum": Case(
         tilted_platinum,
         ["--scan-start", "24,14", "--scan-end", "34,24", "--scan-step", "0.2"],
-        ["--window", "7.8"],
-        [*EXACT, "--probe-step", "0.28"],
+        ["--window", "11.7"],
+        # Its atoms form no planes: the slices of the exact engine are too thick for them, and these are thin.
+        ["--window", "15.6", "--expansion", "off", "--slice-thickness", "0.1", "--probe-step", "0.28"],
     ),
     "thick": Case(
         "si.cif --zone 1,1,0 --repeat 8,11,52",
