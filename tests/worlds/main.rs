@@ -21,6 +21,7 @@ mod live;
 mod mosaic;
 mod own_atoms;
 mod pages;
+mod particle_refusals;
 mod particles;
 mod pictures;
 #[path = "../common/python.rs"]

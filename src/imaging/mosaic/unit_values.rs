@@ -150,9 +150,7 @@ impl WithSimd for Interpolation<'_> {
                 row = row.min(self.lines - TAPS);
                 let lines = line_sums(simd, &samples[row..], self.lines, &across);
                 let (to, _) = S::as_mut_simd_f64s(&mut sums[row..][..TAPS]);
-                for (to, line) in to.iter_mut().zip(&lines) {
-                    *to = *line;
-                }
+                to.copy_from_slice(&lines[..TAPS / S::F64_LANES]);
                 row += TAPS;
             }
         }

@@ -6,7 +6,7 @@ use super::Vec3;
 use super::network::{Neighbours, Network};
 use super::tersoff::{CUTOFF, half_bonds};
 use crate::rng::{Purpose, normal3};
-use crate::structure::lattice::{dot, norm};
+use crate::structure::lattice::{dot, norm, subtract};
 
 /// Reach of the neighbour lists beyond the cutoff, in Angstrom.
 const SKIN: f64 = 0.8;
@@ -53,7 +53,7 @@ impl<'a> Mover<'a> {
     fn update(&mut self) {
         let limit = 0.25 * SKIN * SKIN;
         let far = |(p, q): (&Vec3, &Vec3)| {
-            let d: Vec3 = std::array::from_fn(|k| p[k] - q[k]);
+            let d = subtract(*p, *q);
             dot(d, d) > limit
         };
         let mobile = self.roles.mobile;

@@ -106,7 +106,7 @@ impl Bonds {
                         for b in 0..crystal.atoms.len() {
                             let to = place(crystal, ([i, j, k], b));
                             let from = crystal.atoms[a].position;
-                            let apart = norm(std::array::from_fn(|x| to[x] - from[x]));
+                            let apart = norm(subtract(to, from));
                             if apart > 1e-3 && apart <= reach {
                                 found.push((apart, ([i, j, k], b)));
                             }
@@ -194,7 +194,7 @@ pub fn crystal_particle(crystal: &Structure, body: &ParticleBody, volume: f64) -
         kept.iter().map(|label| (place(crystal, *label), crystal.atoms[label.1].number)).collect();
     let count = atoms.len().max(1) as f64;
     let mean: Vec3 = std::array::from_fn(|k| atoms.iter().map(|(p, _)| p[k]).sum::<f64>() / count);
-    atoms.iter().map(|(p, z)| (std::array::from_fn(|k| p[k] - mean[k]), *z)).collect()
+    atoms.iter().map(|(p, z)| (subtract(*p, mean), *z)).collect()
 }
 
 /// Returns the sizes that are tried, relative to the volume. Atoms lie on the facets, so that a particle fills more than its polyhedron: by
@@ -262,7 +262,7 @@ fn count_and_energy(
     }
     let from_centre = |label: Label| {
         let at = place(crystal, label);
-        std::array::from_fn(|k| at[k] - centre[k])
+        subtract(at, centre)
     };
     let mut missing = 0.0;
     for &(cell, atom) in &atoms {
@@ -349,7 +349,7 @@ mod tests {
         let atoms = wulff("si", &[([1, 1, 1], 1.0), ([1, 0, 0], 1.1)], 20_000.0);
         let bond = 5.431 * 3f64.sqrt() / 4.0;
         for (at, _) in &atoms {
-            let apart = |b: &Vec3| norm(std::array::from_fn(|k| at[k] - b[k]));
+            let apart = |b: &Vec3| norm(subtract(*at, *b));
             let bonds = atoms.iter().filter(|(b, _)| (0.1..1.1 * bond).contains(&apart(b))).count();
             assert!((2..=4).contains(&bonds), "{bonds}");
         }
