@@ -114,7 +114,7 @@ impl<'a> Multislice<'a> {
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
         let groups = self.groups(places);
-        self.run_groups(transmission, places.len(), groups, progress)
+        self.run_groups(transmission, places.len(), groups, false, progress)
     }
 
     /// Computes the bytes of [`Multislice::run`] for the wanted probes only. Some of the others are zero.
@@ -134,19 +134,43 @@ impl<'a> Multislice<'a> {
             groups.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted[*i]));
         }
         groups.retain(|g| g.probes.iter().any(|(i, _)| wanted[*i]));
-        self.run_groups(transmission, places.len(), (groups, waves), progress)
+        self.run_groups(transmission, places.len(), (groups, waves), false, progress)
     }
 
+    /// Computes what [`Multislice::run`] computes for the wanted probes, up to rounding. The others are zero. Where a patch has few wanted
+    /// probes, each is propagated as the sum of waves that its expansion is, in place of all waves.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`].
+    pub fn run_few(
+        &mut self,
+        transmission: &Transmission,
+        places: ProbePlaces<'_>,
+        wanted: &[bool],
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>> {
+        let (mut groups, waves) = self.groups(places);
+        groups.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted[*i]));
+        groups.retain(|g| !g.probes.is_empty());
+        self.run_groups(transmission, places.len(), (groups, waves), true, progress)
+    }
+
+    /// With `one_by_one`, the probes of a patch are propagated as sums of its waves where they are fewer than the waves.
     fn run_groups(
         &mut self,
         transmission: &Transmission,
         probes: usize,
         (groups, waves): (Vec<Patch>, Option<Arc<PatchWaves>>),
+        one_by_one: bool,
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
         let (paths, path_of) = self.paths(transmission, &groups);
         let this = &*self;
         let waves = waves.as_deref();
+        let foci = this.probes.len();
+        let all_waves = |group: &Patch| {
+            waves.filter(|waves| !one_by_one || group.probes.len() * foci >= waves.len())
+        };
         let workspaces = WorkspacePool::new();
         let values = groups.par_iter().zip(path_of).map(|(group, path)| {
             if progress.interrupted() {
@@ -155,9 +179,9 @@ impl<'a> Multislice<'a> {
             let view = TransmissionView { transmission, origin: group.origin };
             let values = workspaces.with(
                 || this.workspace(),
-                |w| match waves {
+                |w| match all_waves(group) {
                     Some(waves) => this.expanded(w, &paths[path], view, group, waves),
-                    None => this.each_probe(w, &paths[path], view, group),
+                    None => this.each_probe(w, &paths[path], view, (group, waves)),
                 },
             );
             progress.advance(group.probes.len() as u64);
@@ -238,13 +262,14 @@ impl<'a> Multislice<'a> {
         path.iter().zip(means).map(|(part, mean)| bright.tail_at(part, mean)).collect()
     }
 
-    /// Intensities of a group's probes, each propagated as a wave: (probe, recorded thickness, detector).
+    /// Intensities of a group's probes, each propagated as a wave: (probe, recorded thickness, detector). With `waves`, each probe is what
+    /// its expansion in them gives.
     fn each_probe(
         &self,
         w: &mut MultisliceWorkspace,
         path: &[PathPart],
         view: TransmissionView<'_>,
-        group: &Patch,
+        (group, waves): (&Patch, Option<&PatchWaves>),
     ) -> Vec<f64> {
         let detectors = self.plan.settings.detectors.len();
         let per_probe = detectors * path.len();
@@ -252,7 +277,13 @@ impl<'a> Multislice<'a> {
         let mut one = vec![0.0; detectors];
         let there = self.tails_there(path, view);
         for focus in 0..self.probes.len() {
-            let (inside, outside) = self.starts(w, (&group.probes, focus));
+            let (inside, outside) = match waves {
+                Some(waves) => {
+                    let coefficients = self.coefficients(waves, &group.probes);
+                    waves.sums(&coefficients[focus].1, group.probes.len())
+                }
+                None => self.starts(w, (&group.probes, focus)),
+            };
             let mut bright_w = w.bright.take();
             self.propagate(w, path, view, (&inside, focus), |probe, r, psi, scale| {
                 let at = probe * per_probe + r * detectors;

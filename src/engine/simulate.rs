@@ -202,7 +202,7 @@ impl<'a> Simulation<'a> {
     }
 
     /// Intensities of the probes with these indices (row-major in the scan) in one phonon configuration, as fractions of the beam: (index,
-    /// recorded thickness, detector), row-major. They are equal to the intensities of a simulation of a scan with a probe at
+    /// recorded thickness, detector), row-major. They are equal, up to rounding, to the intensities of a simulation of a scan with a probe at
     /// every position, but only waves that these probes need are propagated.
     ///
     /// # Errors
@@ -221,7 +221,7 @@ impl<'a> Simulation<'a> {
         let transmission = self.builder.build(sites, configuration, progress)?;
         let mut wanted = vec![false; scan.len()];
         indices.iter().for_each(|i| wanted[*i] = true);
-        let mut values = multislice.run_some(&transmission, scan.into(), &wanted, progress)?;
+        let mut values = multislice.run_few(&transmission, scan.into(), &wanted, progress)?;
         self.builder.reclaim(transmission);
         if let Some(tail) = &self.lens.tail {
             let tails = tail.values(sites, scan.into())?;

@@ -120,13 +120,19 @@ fn displaced(configurations: u32) -> Settings {
     Settings { phonons: Some(Phonons { configurations, seed: 7 }), ..Settings::default() }
 }
 
+/// Equal bytes where each probe is propagated; where probes are sums of a patch's waves, the sum of a wave and the wave of the sum differ by
+/// rounding.
 #[test]
 fn some_probes_are_those_of_the_image() {
     let specimen = crystal("srtio3.cif", [0, 0, 1], [4, 4, 2], 0.08);
     let windows = Algorithm::Window { width_angstrom: 5.9 };
     let each = Settings { probe_step: ProbeStep::Scan, ..displaced(1) };
+    let mut spread = Settings { algorithm: windows, ..each.clone() };
+    spread.optics.focal_spread_angstrom = 40.0;
+    spread.detectors = vec![Detector::new("BF", 0.0, 15.0), Detector::new("HAADF", 68.0, 200.0)];
     let cases = [
         each.clone(),
+        spread,
         Settings { algorithm: windows, ..each.clone() },
         Settings { algorithm: windows, expansion: Expansion::Off, ..each.clone() },
         Settings {
@@ -146,7 +152,11 @@ fn some_probes_are_those_of_the_image() {
         for (n, i) in indices.iter().enumerate() {
             for d in 0..detectors {
                 let pixel = images.image(0, d)[[i / 17, i % 17]];
-                assert_eq!(some[n * detectors + d] as f32, pixel, "{:?} {i}", settings.algorithm);
+                let (off, summed) = (
+                    (some[n * detectors + d] as f32 / pixel - 1.0).abs(),
+                    settings.algorithm == windows && settings.expansion == Expansion::Auto,
+                );
+                assert!(off <= if summed { 2e-5 } else { 0.0 }, "{off}: {settings:?} {i}");
             }
         }
     }
@@ -186,7 +196,7 @@ fn the_accuracy_asked_for_is_kept_with_phonons() {
     );
     assert!(matches!(found[0].algorithm, Algorithm::Window { .. }), "{found:?}");
     let tried = &found[0].tried;
-    assert!(tried.len() == 1 && tried[0].probes >= 32, "{tried:?}");
+    assert!(tried.len() == 1 && tried[0].probes >= 12, "{tried:?}");
 }
 
 /// What is cropped off a probe falls on detectors that see the beam itself. The reference is a box of 82 A.

@@ -26,9 +26,10 @@ const WINDOWS: [(f64, f64); 6] =
     [(5.9, 3.0), (7.8, 0.8), (9.8, 0.6), (11.7, 0.3), (15.6, 0.0), (23.4, f64::INFINITY)];
 /// Windows are used if they need less than this share of the exact engine's operations.
 const WORTH: f64 = 0.7;
-/// Smallest and largest number of clusters in a round of the sample, and probes of each cluster.
+/// Smallest and largest number of clusters in a round of the sample.
 const CLUSTERS: (usize, usize) = (8, 24);
-const PROBES: usize = 4;
+/// Probes of each cluster in a small and in a large sample.
+const PROBES: (usize, usize) = (2, 4);
 /// Number of rounds; each has its own phonon configuration.
 const ROUNDS: u32 = 4;
 /// Frames of a trajectory that a round samples.
@@ -298,11 +299,12 @@ impl Search<'_> {
     /// Number of clusters of a round, and of probes in each, for a scan of `flops` operations.
     fn sample_shape(&self, sample: &ProbeSample, flops: f64) -> [usize; 2] {
         let probe_flops = self.exact.flops(self.asked, 1) - self.exact.flops(self.asked, 0);
-        let probes = SHARE * flops / probe_flops;
-        let clusters = (probes as usize / PROBES).clamp(CLUSTERS.0, CLUSTERS.1);
+        let probes = (SHARE * flops / probe_flops) as usize;
+        let each = if probes < CLUSTERS.0 * PROBES.1 { PROBES.0 } else { PROBES.1 };
+        let clusters = (probes / each).clamp(CLUSTERS.0, CLUSTERS.1);
         // Small scans have few clusters.
         let clusters = clusters.min(sample.clusters());
-        [clusters, (CLUSTERS.0 * PROBES / clusters).max(PROBES)]
+        [clusters, (CLUSTERS.0 * each / clusters).max(each)]
     }
 
     /// Measures the error of a plan with windows. Rounds are added to the sample until it is clear whether the error is small enough.

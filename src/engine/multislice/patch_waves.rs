@@ -57,6 +57,27 @@ impl PatchWaves {
         }
     }
 
+    /// Sums of the waves with the coefficients of some probes, (wave, probe) row-major: for each probe its coefficients on the window's bins,
+    /// and those of its part outside, which are empty if that is not known.
+    pub fn sums(
+        &self,
+        coefficients: &[Complex32],
+        probes: usize,
+    ) -> (Vec<Vec<Complex32>>, Vec<Vec<Complex32>>) {
+        let sum = |probe: usize, parts: &[&[Complex32]]| {
+            let mut sum = vec![Complex32::ZERO; parts[0].len()];
+            for (part, c) in parts.iter().zip(coefficients.iter().skip(probe).step_by(probes)) {
+                sum.iter_mut().zip(*part).for_each(|(sum, wave)| *sum += c * wave);
+            }
+            sum
+        };
+        let inside: Vec<_> = (0..self.len()).map(|j| self.inside(j)).collect();
+        let outside: Vec<_> =
+            (0..self.len()).map(|j| self.outside(j).unwrap_or_default()).collect();
+        let parts = |probe| (sum(probe, &inside), sum(probe, &outside));
+        (0..probes).map(parts).unzip()
+    }
+
     /// The coefficients of probes, from `make` if they are not kept.
     pub fn coefficients(
         &self,
