@@ -145,14 +145,14 @@ CASES: dict[str, Case] = {
     "srtio3": Case(
         "srtio3.cif --repeat 8,8,26",
         ["--scan-end", "7.81,7.81", "--scan-step", "0.2", "--sigma", "0.08"],
-        ["--window", "11.7"],
+        ["--window", "9.8"],
         [*EXACT, "--probe-step", "0.28"],
         4,
     ),
     "gaas": Case(
         "gaas.cif --zone 1,1,0 --repeat 5,7,25",
         ["--scan-end", "11.3,7.99", "--scan-step", "0.2"],
-        ["--window", "15.6"],
+        ["--window", "23.4"],
         [*EXACT, "--probe-step", "0.28"],
     ),
     "platinum": Case(

@@ -101,7 +101,7 @@ impl ExactEngine {
         cost.nominal_flops() / f64::from(self.each.settings.configurations())
     }
 
-    /// Intensities of some probes of a scan in one phonon configuration of some atoms: (cluster, probe, thickness, detector).
+    /// Intensities of some probes of a scan in each of some phonon configurations: (configuration, cluster, probe, thickness, detector).
     ///
     /// # Errors
     /// Errors of [`simulate()`](super::super::simulate()).
@@ -110,13 +110,16 @@ impl ExactEngine {
         sites: &[Site],
         scan: &Scan,
         clusters: &[DrawnCluster],
-        configuration: u32,
+        configurations: &[u32],
         progress: &dyn Progress,
-    ) -> Result<Vec<Vec<f64>>> {
+    ) -> Result<Vec<Vec<Vec<f64>>>> {
         let mut simulation = Simulation::new(&self.each, &elements(sites))?;
         let indices: Vec<usize> = clusters.iter().flat_map(|c| c.indices.clone()).collect();
-        let all = simulation.some_probes(sites, scan, &indices, configuration, progress)?;
-        Ok(by_cluster(&all, clusters))
+        let in_one = |configuration: &u32| {
+            let all = simulation.some_probes(sites, scan, &indices, *configuration, progress)?;
+            Ok(by_cluster(&all, clusters))
+        };
+        configurations.iter().map(in_one).collect()
     }
 }
 

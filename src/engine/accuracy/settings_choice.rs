@@ -20,18 +20,26 @@ use crate::structure::Site;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// Windows that are tried, in Angstrom at 200 kV and 21 mrad, each with a least error in per cent. The search begins at the first window
-/// whose least error is not above the requested one.
-const WINDOWS: [(f64, f64); 6] =
-    [(5.9, 3.0), (7.8, 0.8), (9.8, 0.6), (11.7, 0.3), (15.6, 0.0), (23.4, f64::INFINITY)];
+/// Windows that are tried, in Angstrom at 200 kV and 21 mrad, each with a least error in per cent: of images of one configuration, and of
+/// means over several, in which most of the error averages out. The search begins at the first window whose least error is not above the
+/// requested one.
+const WINDOWS: [(f64, [f64; 2]); 6] = [
+    (5.9, [3.0, 1.7]),
+    (7.8, [0.8, 0.6]),
+    (9.8, [0.6, 0.3]),
+    (11.7, [0.3, 0.3]),
+    (15.6, [0.0, 0.0]),
+    (23.4, [f64::INFINITY; 2]),
+];
 /// Windows are used if they need less than this share of the exact engine's operations.
 const WORTH: f64 = 0.7;
 /// Smallest and largest number of clusters in a round of the sample.
 const CLUSTERS: (usize, usize) = (8, 24);
 /// Probes of each cluster in a small and in a large sample.
 const PROBES: (usize, usize) = (2, 4);
-/// Number of rounds; each has its own phonon configuration.
+/// Largest number of rounds; each has its own phonon configurations, one or two. Small samples have fewer rounds.
 const ROUNDS: u32 = 4;
+const ROUNDS_OF_SMALL: u32 = 2;
 /// Frames of a trajectory that a round samples.
 const FRAMES: usize = 4;
 /// Largest share of the whole scan's operations that a round should need.
@@ -52,7 +60,7 @@ pub struct TriedWindow {
     pub width_angstrom: f64,
     /// Rms error on the sample with that of local slices, in per cent of the mean image.
     pub found_percent: f64,
-    /// Largest likely error of the whole image: the error on the sample plus two standard errors, with that of local slices.
+    /// Largest likely error of the whole image: the error on the sample plus a standard error, with that of local slices.
     pub likely_percent: f64,
     /// Number of probes in the sample.
     pub probes: usize,
@@ -203,17 +211,17 @@ struct Search<'a> {
     cell_angstrom: [f64; 3],
 }
 
-/// A round of the sample, in one phonon configuration.
+/// A round of the sample, in one or two phonon configurations.
 struct Round {
-    configuration: u32,
+    configurations: Vec<u32>,
     parts: Vec<FrameSample>,
 }
 
-/// Clusters of probes on one frame, with the exact engine's values.
+/// Clusters of probes on one frame, with the exact engine's values in each configuration.
 struct FrameSample {
     frame: usize,
     clusters: Vec<DrawnCluster>,
-    exact: Vec<Vec<f64>>,
+    exact: Vec<Vec<Vec<f64>>>,
 }
 
 impl Search<'_> {
@@ -235,19 +243,24 @@ impl Search<'_> {
             if !plan.has_windows() || flops > WORTH * exact_flops {
                 break;
             }
-            let (sample, shape) = sample.get_or_insert_with(|| {
+            let (sample, shape, most_rounds) = sample.get_or_insert_with(|| {
                 let [x, y, _] = self.cell_angstrom;
                 let sample = ProbeSample::new(&raster, self.sampled_atoms(), [x, y]);
-                let shape = self.sample_shape(&sample, flops);
-                (sample, shape)
+                let (shape, most_rounds) = self.sample_shape(&sample, flops);
+                (sample, shape, most_rounds)
             });
             let per_round = shape[0] * shape[1];
             // A sample of a large share of the scan would take as long as the scan.
             if 2 * per_round > self.asked.len() {
                 break;
             }
-            let estimate =
-                self.estimate(&plan, &raster, (sample, *shape), &mut rounds, progress)?;
+            let estimate = self.estimate(
+                &plan,
+                &raster,
+                (sample, *shape, *most_rounds),
+                &mut rounds,
+                progress,
+            )?;
             let [found_percent, likely_percent] =
                 estimate.percent().map(|percent| percent.hypot(slices_percent(&plan)));
             tried.push(TriedWindow {
@@ -267,9 +280,10 @@ impl Search<'_> {
     fn candidates(&self) -> Result<Vec<Settings>> {
         let size = relative_size(self.base).max(1.0);
         let blur = 2.0 * geometric_radius(self.base);
-        let first = WINDOWS.iter().position(|(_, least)| self.accuracy_percent >= *least);
+        let several = usize::from(self.base.configurations() > 1);
+        let first = WINDOWS.iter().position(|(_, least)| self.accuracy_percent >= least[several]);
         let windows = &WINDOWS[first.unwrap_or(0)..];
-        let of = |(width, _): &(f64, f64)| Settings {
+        let of = |(width, _): &(f64, _)| Settings {
             algorithm: Algorithm::Window { width_angstrom: width * size + blur },
             ..self.base.clone()
         };
@@ -296,15 +310,19 @@ impl Search<'_> {
         frames.into_iter().flat_map(|frame| self.frames[frame])
     }
 
-    /// Number of clusters of a round, and of probes in each, for a scan of `flops` operations.
-    fn sample_shape(&self, sample: &ProbeSample, flops: f64) -> [usize; 2] {
+    /// Number of clusters of a round, and of probes in each, for a scan of `flops` operations; and the largest number of rounds.
+    fn sample_shape(&self, sample: &ProbeSample, flops: f64) -> ([usize; 2], u32) {
         let probe_flops = self.exact.flops(self.asked, 1) - self.exact.flops(self.asked, 0);
-        let probes = (SHARE * flops / probe_flops) as usize;
-        let each = if probes < CLUSTERS.0 * PROBES.1 { PROBES.0 } else { PROBES.1 };
+        let pair = self.base.configurations().min(2) as usize;
+        let probes = (SHARE * flops / probe_flops) as usize / pair;
+        let (each, most_rounds) = match probes < CLUSTERS.0 * PROBES.1 {
+            true => (PROBES.0 / pair, ROUNDS_OF_SMALL),
+            false => (PROBES.1, ROUNDS),
+        };
         let clusters = (probes / each).clamp(CLUSTERS.0, CLUSTERS.1);
         // Small scans have few clusters.
         let clusters = clusters.min(sample.clusters());
-        [clusters, (CLUSTERS.0 * each / clusters).max(each)]
+        ([clusters, (CLUSTERS.0 * each).div_ceil(clusters).max(each)], most_rounds)
     }
 
     /// Measures the error of a plan with windows. Rounds are added to the sample until it is clear whether the error is small enough.
@@ -312,17 +330,17 @@ impl Search<'_> {
         &self,
         plan: &Plan,
         raster: &Scan,
-        (sample, shape): (&ProbeSample, [usize; 2]),
+        (sample, shape, most_rounds): (&ProbeSample, [usize; 2], u32),
         rounds: &mut Vec<Round>,
         progress: &dyn Progress,
     ) -> Result<ErrorEstimate> {
         let images = plan.record_after.len() * plan.settings.detectors.len();
         let all: BTreeSet<u8> = self.frames.iter().flat_map(|sites| elements(sites)).collect();
         let mut simulation = Simulation::new(plan, &all.into_iter().collect::<Vec<u8>>())?;
-        let mut estimate = ErrorEstimate::default();
+        let mut estimate = ErrorEstimate::new(self.base.configurations());
         let left_percent =
             (self.accuracy_percent.powi(2) - slices_percent(plan).powi(2)).max(0.0).sqrt();
-        for number in 0..ROUNDS {
+        for number in 0..most_rounds {
             if rounds.len() <= number as usize {
                 rounds.push(self.round(
                     raster,
@@ -331,15 +349,21 @@ impl Search<'_> {
                     progress,
                 )?);
             }
-            let Round { configuration, parts } = &rounds[number as usize];
+            let Round { configurations, parts } = &rounds[number as usize];
             for FrameSample { frame, clusters, exact } in parts {
                 let indices: Vec<usize> = clusters.iter().flat_map(|c| c.indices.clone()).collect();
                 let (sites, quiet) = (self.frames[*frame], InterruptOnly(progress));
-                let ours =
-                    simulation.some_probes(sites, raster, &indices, *configuration, &quiet)?;
-                let ours = by_cluster(&ours, clusters);
-                for ((cluster, ours), exact) in clusters.iter().zip(&ours).zip(exact) {
-                    estimate.add(cluster, images, ours, exact);
+                let in_one = |configuration: &u32| {
+                    let values =
+                        simulation.some_probes(sites, raster, &indices, *configuration, &quiet)?;
+                    Ok(by_cluster(&values, clusters))
+                };
+                let ours = configurations.iter().map(in_one).collect::<Result<Vec<_>>>()?;
+                for (n, cluster) in clusters.iter().enumerate() {
+                    let mut both = ours.iter().zip(exact).map(|(o, e)| (&o[n][..], &e[n][..]));
+                    if let Some(first) = both.next() {
+                        estimate.add(cluster, images, first, both.next());
+                    }
                 }
             }
             if estimate.verdict(left_percent) != AccuracyVerdict::Unclear {
@@ -356,20 +380,23 @@ impl Search<'_> {
         number: u32,
         progress: &dyn Progress,
     ) -> Result<Round> {
-        let configuration = number % self.base.configurations();
+        let all = self.base.configurations();
+        let configurations: Vec<u32> =
+            (0..all.min(2)).map(|n| (all.min(2) * number + n) % all).collect();
         let probes: usize = clusters.iter().map(|c| c.indices.len()).sum();
-        progress.start("measuring the error of windows", "probes", probes as u64);
+        let simulated = probes * configurations.len();
+        progress.start("measuring the error of windows", "probes", simulated as u64);
         let frames = frames_of_round(number, self.frames.len());
         let part = |(n, frame): (usize, usize)| {
             let clusters: Vec<DrawnCluster> =
                 clusters.iter().skip(n).step_by(frames.len()).cloned().collect();
             let (exact, sites) = (&self.exact, self.frames[frame]);
-            let exact = exact.intensities(sites, raster, &clusters, configuration, progress)?;
+            let exact = exact.intensities(sites, raster, &clusters, &configurations, progress)?;
             Ok(FrameSample { frame, clusters, exact })
         };
         let parts = frames.iter().copied().enumerate().map(part).collect::<Result<_>>()?;
         progress.finish();
-        Ok(Round { configuration, parts })
+        Ok(Round { configurations, parts })
     }
 }
 

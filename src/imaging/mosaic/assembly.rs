@@ -6,7 +6,7 @@ use ndarray::Array2;
 use rayon::prelude::*;
 
 use crate::imaging::mosaic::bins::{Bins, grouped};
-use crate::imaging::mosaic::cell_images::{CellImages, Realisation};
+use crate::imaging::mosaic::cell_images::CellImages;
 use crate::imaging::mosaic::image_library::ImageLibrary;
 use crate::imaging::mosaic::survey::BEYOND_NM;
 use crate::imaging::mosaic::unit_values::unit_values;
@@ -239,27 +239,12 @@ impl Assembly {
         seed: u64,
         configurations: usize,
     ) -> Array2<f64> {
-        self.image_of((library, detector), kernel, |cell, tag| {
+        let realisations = |cell: &CellImages, tag: &UnitTag| {
             let unit = UnitSeed { seed, id: tag.id };
             let mut own = cell.realisations(tag.entry, unit, library.configurations());
             own.truncate(configurations);
             own
-        })
-    }
-
-    /// As [`Assembly::image`] on the first detector, but each unit shows the mean over all configurations of its own entry in the library.
-    /// [`Assembly::image`] draws different configurations for each unit. Not suitable where the phonons of single columns matter.
-    pub(crate) fn overview(&self, library: &ImageLibrary, kernel: &Kernel) -> Array2<f64> {
-        let all = library.configurations();
-        self.image_of((library, 0), kernel, |cell, tag| cell.own_realisations(tag.entry, all))
-    }
-
-    fn image_of(
-        &self,
-        (library, detector): (&ImageLibrary, usize),
-        kernel: &Kernel,
-        realisations: impl Fn(&CellImages, &UnitTag) -> Vec<Realisation> + Sync,
-    ) -> Array2<f64> {
+        };
         let of_share = self.shares.iter().map(|share| share.unit as usize);
         let (starts, by_unit) = grouped(self.units.len(), of_share);
         let of_unit = |n: usize| by_unit[starts[n]..starts[n + 1]].iter().map(|s| &self.shares[*s]);
@@ -287,6 +272,28 @@ impl Assembly {
         image
     }
 
+    /// As [`Assembly::image`] on the first detector, but each unit shows the mean over all configurations of its own entry in the library,
+    /// linear between dense samples ([`DenseMean`](super::dense_mean::DenseMean)). [`Assembly::image`] draws different configurations for
+    /// each unit. Not suitable where the phonons of single columns matter.
+    pub(crate) fn overview(&self, library: &ImageLibrary, kernel: &Kernel) -> Array2<f64> {
+        let cells = self.cells(library);
+        let shown = |unit: &PlacedUnit| {
+            let (tag, cell) = (unit.tag?, cells[unit.family]?);
+            let (library_cell, of_cell) = cell.locate(tag.entry);
+            Some((tag, cell, cell.dense_mean(library_cell, kernel), cell.position(of_cell)))
+        };
+        let shown: Vec<_> = self.units.iter().map(shown).collect();
+        let mut image = Array2::zeros(self.shape);
+        let pixels = image.as_slice_mut().unwrap_or_default();
+        for share in &self.shares {
+            let unit = share.unit as usize;
+            if let Some((tag, cell, mean, centre)) = &shown[unit] {
+                let offset = self.offset(share.pixel as usize, &self.units[unit], tag, cell);
+                pixels[share.pixel as usize] += share.weight * mean.at(plane::add(*centre, offset));
+            }
+        }
+        image
+    }
     /// The place of a pixel in the library cell, counted from the unit's centre, in samples (x, y).
     fn offset(
         &self,

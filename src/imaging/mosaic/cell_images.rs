@@ -1,12 +1,14 @@
 //! The images of one family of library cells: their content, samples and names.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::OnceLock;
 
 use ndarray::{Array2, Axis, s};
 use sha2::{Digest, Sha256};
 
 use crate::engine::{Plan, Scan, Settings, Site};
 use crate::error::Result;
+use crate::imaging::mosaic::dense_mean::DenseMean;
 use crate::imaging::mosaic::image_note::ImageNote;
 use crate::numerics::NUMERICS_VERSION;
 use crate::optics::Optics;
@@ -54,6 +56,8 @@ pub(crate) struct CellImages {
     images: Vec<Vec<Vec<Array2<f32>>>>,
     /// Means of the images over the configurations, by detector and library cell.
     means: Vec<Vec<Array2<f32>>>,
+    /// The means on the first detector on a dense grid, by library cell; each is made when an overview needs it.
+    dense_means: Vec<OnceLock<DenseMean>>,
 }
 
 /// One configuration of one unit: it identifies an image and the displacements of its atoms.
@@ -101,6 +105,7 @@ impl CellImages {
             pristine,
             images: vec![vec![Vec::new(); library_cell.count]; settings.detectors.len()],
             means: Vec::new(),
+            dense_means: (0..library_cell.count).map(|_| OnceLock::new()).collect(),
             library_cell,
             settings,
         }
@@ -155,13 +160,20 @@ impl CellImages {
         &self.means[detector][library_cell]
     }
 
+    /// The mean over all configurations of a library cell on the first detector, on a dense grid.
+    pub(super) fn dense_mean(&self, library_cell: usize, kernel: &Kernel) -> &DenseMean {
+        let [along_x, along_y] = self.library_cell.periodic;
+        let made = || DenseMean::new(self.mean(0, library_cell), [along_y, along_x], kernel);
+        self.dense_means[library_cell].get_or_init(made)
+    }
+
     /// Number of configurations of a library cell.
     pub(crate) fn configurations(&self, library_cell: usize) -> usize {
         self.images[0][library_cell].len()
     }
 
     /// The library cell of an entry, and the entry's unit in it.
-    fn locate(&self, kind: usize, cell: usize) -> (usize, usize) {
+    pub(super) fn locate(&self, PatternIndex { kind, cell, .. }: PatternIndex) -> (usize, usize) {
         let at = (kind, cell % self.library_cell.cells);
         (cell / self.library_cell.cells, self.index.get(&at).copied().unwrap_or_default())
     }
@@ -180,7 +192,7 @@ impl CellImages {
         shown: UnitSeed,
         configurations: usize,
     ) -> Vec<Realisation> {
-        let own = |cell: usize| self.locate(entry.kind, cell);
+        let own = |cell: usize| self.locate(PatternIndex { cell, ..entry });
         let (library_cell, unit) = own(entry.cell);
         let pristine = self.library_cell.units[unit].patterns[library_cell].is_empty();
         let Some(alike) = self.pristine.get(&entry.kind).filter(|_| pristine) else {
@@ -206,12 +218,8 @@ impl CellImages {
     }
 
     /// The first configurations of an entry's own unit.
-    pub(crate) fn own_realisations(
-        &self,
-        entry: PatternIndex,
-        configurations: usize,
-    ) -> Vec<Realisation> {
-        let (library_cell, unit) = self.locate(entry.kind, entry.cell);
+    fn own_realisations(&self, entry: PatternIndex, configurations: usize) -> Vec<Realisation> {
+        let (library_cell, unit) = self.locate(entry);
         let realisation = |configuration| Realisation { library_cell, unit, configuration };
         (0..configurations).map(realisation).collect()
     }

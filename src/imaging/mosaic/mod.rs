@@ -12,6 +12,7 @@
 mod assembly;
 mod bins;
 mod cell_images;
+mod dense_mean;
 pub(crate) mod image_library;
 pub(crate) mod image_note;
 #[cfg(feature = "hdf5")]
