@@ -322,7 +322,7 @@ impl Search<'_> {
         let clusters = (probes / each).clamp(CLUSTERS.0, CLUSTERS.1);
         // Small scans have few clusters.
         let clusters = clusters.min(sample.clusters());
-        ([clusters, (CLUSTERS.0 * each).div_ceil(clusters).max(each)], most_rounds)
+        ([clusters, (CLUSTERS.0 * each / clusters).max(each)], most_rounds)
     }
 
     /// Measures the error of a plan with windows. Rounds are added to the sample until it is clear whether the error is small enough.
