@@ -145,7 +145,7 @@ CASES: dict[str, Case] = {
     "srtio3": Case(
         "srtio3.cif --repeat 8,8,26",
         ["--scan-end", "7.81,7.81", "--scan-step", "0.2", "--sigma", "0.08"],
-        ["--window", "9.8"],
+        ["--window", "11.7"],
         [*EXACT, "--probe-step", "0.28"],
         4,
     ),
@@ -165,7 +165,7 @@ CASES: dict[str, Case] = {
     "thick": Case(
         "si.cif --zone 1,1,0 --repeat 8,11,52",
         ["--scan-end", "7.68,5.43", "--scan-step", "0.2", "--sigma", "0.076"],
-        ["--window", "15.6"],
+        ["--window", "23.4"],
         [*EXACT, "--probe-step", "0.28"],
         2,
     ),

@@ -13,7 +13,7 @@ const LIKELY: f64 = 1.0;
 /// The error of images, (thickness, detector), estimated from clusters of their probes.
 ///
 /// Images are means over phonon configurations, and most of a window's error differs from one to the next. Clusters are therefore sampled
-/// in two of them, where there are more than one: with errors d1 and d2 there, the mean over N configurations has the mean square error
+/// in two of them, where there are more than a few: with errors d1 and d2 there, the mean over N configurations has the mean square error
 /// (1 - 1/N) d1 d2 + (d1^2 + d2^2) / 2N. For SrTiO3 of 10 nm and windows of 11.7 A that is 0.53 % of the mean with N = 1, and 0.39 % with 2.
 #[derive(Debug, Clone)]
 pub struct ErrorEstimate {

@@ -40,6 +40,9 @@ const PROBES: (usize, usize) = (2, 4);
 /// Largest number of rounds; each has its own phonon configurations, one or two. Small samples have fewer rounds.
 const ROUNDS: u32 = 4;
 const ROUNDS_OF_SMALL: u32 = 2;
+/// From this number of phonon configurations on a round samples in two of them. For fewer, potentials would be computed as often for the
+/// sample as for the image.
+const IN_TWO_FROM: u32 = 4;
 /// Frames of a trajectory that a round samples.
 const FRAMES: usize = 4;
 /// Largest share of the whole scan's operations that a round should need.
@@ -280,7 +283,7 @@ impl Search<'_> {
     fn candidates(&self) -> Result<Vec<Settings>> {
         let size = relative_size(self.base).max(1.0);
         let blur = 2.0 * geometric_radius(self.base);
-        let several = usize::from(self.base.configurations() > 1);
+        let several = usize::from(self.sampled_configurations() > 1);
         let first = WINDOWS.iter().position(|(_, least)| self.accuracy_percent >= least[several]);
         let windows = &WINDOWS[first.unwrap_or(0)..];
         let of = |(width, _): &(f64, _)| Settings {
@@ -310,13 +313,18 @@ impl Search<'_> {
         frames.into_iter().flat_map(|frame| self.frames[frame])
     }
 
+    /// Number of phonon configurations in which a round samples.
+    fn sampled_configurations(&self) -> u32 {
+        if self.base.configurations() < IN_TWO_FROM { 1 } else { 2 }
+    }
+
     /// Number of clusters of a round, and of probes in each, for a scan of `flops` operations; and the largest number of rounds.
     fn sample_shape(&self, sample: &ProbeSample, flops: f64) -> ([usize; 2], u32) {
         let probe_flops = self.exact.flops(self.asked, 1) - self.exact.flops(self.asked, 0);
-        let pair = self.base.configurations().min(2) as usize;
-        let probes = (SHARE * flops / probe_flops) as usize / pair;
+        let probes =
+            (SHARE * flops / probe_flops) as usize / self.sampled_configurations() as usize;
         let (each, most_rounds) = match probes < CLUSTERS.0 * PROBES.1 {
-            true => (PROBES.0 / pair, ROUNDS_OF_SMALL),
+            true => (PROBES.0, ROUNDS_OF_SMALL),
             false => (PROBES.1, ROUNDS),
         };
         let clusters = (probes / each).clamp(CLUSTERS.0, CLUSTERS.1);
@@ -380,9 +388,8 @@ impl Search<'_> {
         number: u32,
         progress: &dyn Progress,
     ) -> Result<Round> {
-        let all = self.base.configurations();
-        let configurations: Vec<u32> =
-            (0..all.min(2)).map(|n| (all.min(2) * number + n) % all).collect();
+        let (each, all) = (self.sampled_configurations(), self.base.configurations());
+        let configurations: Vec<u32> = (0..each).map(|n| (each * number + n) % all).collect();
         let probes: usize = clusters.iter().map(|c| c.indices.len()).sum();
         let simulated = probes * configurations.len();
         progress.start("measuring the error of windows", "probes", simulated as u64);
