@@ -58,7 +58,7 @@ impl PatchWaves {
     }
 
     /// Sums of the waves with the coefficients of some probes, (wave, probe) row-major: for each probe its coefficients on the window's bins,
-    /// and those of its part outside, which are empty if that is not known.
+    /// and the coefficients of its part outside, which are empty if that is not known.
     pub fn sums(
         &self,
         coefficients: &[Complex32],
