@@ -10,8 +10,11 @@ use crate::structure::Site;
 const CLUSTER_ANGSTROM: f64 = 3.6;
 /// Share of the sample that is drawn by brightness; the rest is drawn evenly.
 const BY_BRIGHTNESS: f64 = 0.5;
-/// Estimated brightness of an atom: this power of its atomic number, within this distance in Angstrom along x and y.
-const BRIGHTNESS: (f64, f64) = (1.7, 0.5);
+/// Estimated brightness of an atom: this power of its atomic number, in a Gaussian of this standard deviation in Angstrom, about as wide as
+/// the image of a column. Errors are largest in the middle of columns.
+const BRIGHTNESS: (f64, f64) = (1.7, 0.35);
+/// Radius of the Gaussian along x and y, in standard deviations.
+const REACH: f64 = 2.5;
 
 /// The probes of a scan, each with its chance to be drawn.
 pub struct ProbeSample {
@@ -107,10 +110,11 @@ fn brightness<'a>(
     let [rows, columns] = scan.shape;
     let counts = [columns, rows];
     let mut out = vec![0.0; rows * columns];
-    // Lines of probes (columns or rows) that an atom, or its image in another cell, is near to.
+    // Lines of probes (columns or rows) that an atom, or its image in another cell, is near to, with its brightness there.
     let lines = |x: f64, k: usize| {
         let (step, cell) = (scan.step_angstrom[k], cell_angstrom[k]);
-        let reach = BRIGHTNESS.1.max(0.5 * step);
+        let sigma = BRIGHTNESS.1.max(step / REACH);
+        let reach = REACH * sigma;
         let last = scan.origin_angstrom[k] + (counts[k] - 1) as f64 * step;
         let first_image = ((scan.origin_angstrom[k] - reach - x) / cell).ceil() as i64;
         let last_image = ((last + reach - x) / cell).floor() as i64;
@@ -118,15 +122,18 @@ fn brightness<'a>(
             let at = x + image as f64 * cell - scan.origin_angstrom[k];
             let low = ((at - reach) / step).ceil().max(0.0) as usize;
             let high = ((at + reach) / step).floor().min((counts[k] - 1) as f64);
-            low..(high + 1.0).max(0.0) as usize
+            (low..(high + 1.0).max(0.0) as usize).map(move |line| {
+                let away = (line as f64 * step - at) / sigma;
+                (line, (-0.5 * away * away).exp())
+            })
         });
-        near.collect::<Vec<usize>>()
+        near.collect::<Vec<(usize, f64)>>()
     };
     for site in sites {
         let [across, down] = [0, 1].map(|k| lines(site.position[k], k));
         let strength = f64::from(site.number).powf(BRIGHTNESS.0);
-        for y in &down {
-            across.iter().for_each(|x| out[y * columns + x] += strength);
+        for (y, of_y) in &down {
+            across.iter().for_each(|(x, of_x)| out[y * columns + x] += strength * of_y * of_x);
         }
     }
     out

@@ -36,7 +36,7 @@ const WORTH: f64 = 0.7;
 /// Smallest and largest number of clusters in a round of the sample.
 const CLUSTERS: (usize, usize) = (8, 24);
 /// Probes of each cluster in a small and in a large sample.
-const PROBES: (usize, usize) = (2, 4);
+const PROBES: (usize, usize) = (3, 4);
 /// Largest number of rounds; each has its own phonon configurations, one or two. Small samples have fewer rounds.
 const ROUNDS: u32 = 4;
 const ROUNDS_OF_SMALL: u32 = 2;
