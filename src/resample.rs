@@ -180,6 +180,12 @@ impl Kernel {
         self.row(first, (below as i64 - first) as usize, position - below)
     }
 
+    /// Weights at a position along an axis of `samples` samples, which repeats or not.
+    #[inline(always)]
+    pub(crate) fn weights_on(&self, (samples, periodic): (usize, bool), position: f64) -> Weights {
+        if periodic { self.weights(position) } else { self.weights_within(position, samples) }
+    }
+
     /// Weights for a position that is `fraction` beyond the `below`-th of the samples from `first` on.
     #[inline(always)]
     fn row(&self, first: i64, below: usize, fraction: f64) -> Weights {

@@ -276,10 +276,10 @@ impl<'a> Multislice<'a> {
         let mut values = vec![0.0; group.probes.len() * per_probe];
         let mut one = vec![0.0; detectors];
         let there = self.tails_there(path, view);
+        let summed = waves.map(|waves| (waves, self.coefficients(waves, &group.probes)));
         for focus in 0..self.probes.len() {
-            let (inside, outside) = match waves {
-                Some(waves) => {
-                    let coefficients = self.coefficients(waves, &group.probes);
+            let (inside, outside) = match &summed {
+                Some((waves, coefficients)) => {
                     waves.sums(&coefficients[focus].1, group.probes.len())
                 }
                 None => self.starts(w, (&group.probes, focus)),

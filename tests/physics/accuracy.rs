@@ -196,7 +196,7 @@ fn the_accuracy_asked_for_is_kept_with_phonons() {
     );
     assert!(matches!(found[0].algorithm, Algorithm::Window { .. }), "{found:?}");
     let tried = &found[0].tried;
-    assert!(tried.len() == 1 && tried[0].probes >= 12, "{tried:?}");
+    assert!(tried.len() == 1 && tried[0].probes >= 24, "{tried:?}");
 }
 
 /// What is cropped off a probe falls on detectors that see the beam itself. The reference is a box of 82 A.

@@ -6,8 +6,8 @@ use super::probe_sample::DrawnCluster;
 /// if the mean square error minus the second number is.
 const CLEAR: (f64, f64) = (2.0, 0.5);
 /// Number of standard errors in the largest likely error, which decides after the last round. In samples that were drawn from maps of
-/// errors (two rounds of only 16 probes), a window whose error is 1.4 times the requested one is accepted in 1 % of all cases for Si and SrTiO3, and
-/// in 19 % for a Pt particle, whose errors are in few places.
+/// errors (two rounds of only 16 probes), a window whose error is 1.4 times the requested one is accepted in 1 % of all cases for Si and
+/// SrTiO3, and in 19 % for a Pt particle, whose errors are in few places.
 const LIKELY: f64 = 1.0;
 
 /// The error of images, (thickness, detector), estimated from clusters of their probes.

@@ -294,6 +294,7 @@ impl Assembly {
         }
         image
     }
+
     /// The place of a pixel in the library cell, counted from the unit's centre, in samples (x, y).
     fn offset(
         &self,

@@ -61,8 +61,7 @@ impl DenseMean {
 /// The value at a place, in samples, along a line of samples.
 fn between(line: ArrayView1<f32>, at: f64, periodic: bool, kernel: &Kernel) -> f32 {
     let n = line.len();
-    let Weights { first, values } =
-        if periodic { kernel.weights(at) } else { kernel.weights_within(at, n) };
+    let Weights { first, values } = kernel.weights_on((n, periodic), at);
     let sample = |k: usize| f64::from(line[(first + k as i64).rem_euclid(n as i64) as usize]);
     (0..TAPS).map(|k| values[k] * sample(k)).sum::<f64>() as f32
 }

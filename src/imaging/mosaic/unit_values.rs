@@ -5,7 +5,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use crate::imaging::mosaic::cell_images::{CellImages, Realisation};
 use crate::plane;
-use crate::resample::{Kernel, TAPS, Weights};
+use crate::resample::{Kernel, TAPS};
 use crate::simd::vectorised;
 
 /// The mean image of some configurations of a unit on a detector, at `offsets` from its centre in samples (x, y).
@@ -22,7 +22,7 @@ pub(super) fn unit_values(
     let range = |k: usize| {
         let low = offsets.iter().map(|o| o[k]).fold(f64::INFINITY, f64::min) + centre[k];
         let high = offsets.iter().map(|o| o[k]).fold(f64::NEG_INFINITY, f64::max) + centre[k];
-        let first = |at: f64| weights_on(kernel, axes[k], at).first;
+        let first = |at: f64| kernel.weights_on(axes[k], at).first;
         [first(low), first(high) + TAPS as i64 - 1]
     };
     let (x, y) = (range(0), range(1));
@@ -60,12 +60,6 @@ fn shelf_configurations(cell: &CellImages, realisations: &[Realisation]) -> usiz
         .enumerate()
         .all(|(n, s)| *s == Realisation { configuration: n, ..first });
     if same { cell.configurations(first.library_cell) } else { 0 }
-}
-
-/// The weights at a place along an axis of `samples` samples.
-#[inline(always)]
-fn weights_on(kernel: &Kernel, (samples, periodic): (usize, bool), at: f64) -> Weights {
-    if periodic { kernel.weights(at) } else { kernel.weights_within(at, samples) }
 }
 
 /// Adds samples of a periodic image, from the sample `first` (x, y) on, times a weight to rows of `width` samples.
@@ -167,7 +161,7 @@ impl Interpolation<'_> {
     /// The first sample of a place along an axis, and the weights of the samples.
     #[inline(always)]
     fn weights(&self, axis: usize, offset: f64) -> (usize, [f64; TAPS]) {
-        let found = weights_on(self.kernel, self.axes[axis], offset + self.centre[axis]);
+        let found = self.kernel.weights_on(self.axes[axis], offset + self.centre[axis]);
         ((found.first - self.first[axis]) as usize, found.values)
     }
 }
