@@ -12,6 +12,7 @@ use super::single_precision::single;
 use crate::matrix::multiply;
 use nalgebra::{DMatrix, SymmetricEigen};
 use num_complex::{Complex32, Complex64};
+use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// The waves in which the probes of a patch are expanded.
@@ -61,8 +62,11 @@ impl Basis {
             (&components, [1, waves]),
             (&span, bins),
         );
-        let back = chosen.chunks_exact(bins).flat_map(|wave| probes[0].pad_window(wave));
-        let project = back.map(|v| single(v.conj())).collect();
+        let back = |wave: &[Complex64]| -> Vec<Complex32> {
+            probes[0].pad_window(wave).into_iter().map(|v| single(v.conj())).collect()
+        };
+        let project: Vec<Vec<Complex32>> = chosen.par_chunks_exact(bins).map(back).collect();
+        let project = project.concat();
         Basis { waves: chosen.into_iter().map(single).collect(), project, bins }
     }
 
@@ -159,7 +163,7 @@ impl<'a> Candidates<'a> {
         });
         let mut candidates = Candidates { probes, phases, norms: Vec::new() };
         let norm = |i| candidates.get(i).iter().map(Complex64::norm_sqr).sum();
-        candidates.norms = (0..candidates.len()).map(norm).collect();
+        candidates.norms = (0..candidates.len()).into_par_iter().map(norm).collect();
         candidates
     }
 

@@ -1,4 +1,4 @@
-//! Detectors that begin within 1.5 semiangles, in windows: they see the tail of the probe itself, so they read the wave of the window and its
+//! Detectors that begin within two semiangles, in windows: they see the tail of the probe itself, so they read the wave of the window and its
 //! coherent tail (`coherent_tail`).
 //!
 //! Angles beyond the reach of the tail are read from the window's own frequencies. Other detectors see only electrons of the tail that atoms
@@ -8,9 +8,13 @@ use super::accuracy::LEAST_INNER_SEMIANGLES;
 use super::coherent_tail::{CoherentTail, full_k, least_full_k};
 use super::grid::Grid;
 use super::multislice::PathPart;
-use super::padded_box::{PaddedBox, PaddedWorkspace, SplitWorkspace, low_pass};
+use super::padded_box::{
+    PaddedBox, PaddedWorkspace, SplitWorkspace, box_extent_angstrom, low_pass,
+};
 use super::plan::Plan;
+use super::probe::highest_k;
 use super::probe_patches::window_centre;
+use super::settings::Settings;
 use crate::detect::{Detector, DetectorMap};
 use crate::optics::Optics;
 use num_complex::Complex32;
@@ -50,9 +54,13 @@ pub(crate) fn sees_tail(detector: &Detector, optics: &Optics) -> bool {
 
 /// Whether a detector reads the coherent tail.
 fn reads_tail(detector: &Detector, plan: &Plan) -> bool {
-    let settings = &plan.settings;
+    plan.has_windows() && reads_tail_in_windows(detector, &plan.settings)
+}
+
+/// Whether a detector reads the coherent tail if these settings use windows.
+pub(super) fn reads_tail_in_windows(detector: &Detector, settings: &Settings) -> bool {
     let asked = settings.tail_correction && settings.direct_beam;
-    plan.has_windows() && asked && sees_tail(detector, &settings.optics)
+    asked && sees_tail(detector, &settings.optics)
 }
 
 /// The largest frequency (1/Angstrom) of the detectors that read the tail; `None` if there are none.
@@ -61,6 +69,15 @@ fn outermost_k(plan: &Plan) -> Option<f64> {
     let outer = detectors.map(|d| d.outer_mrad).reduce(f64::max)?;
     let [dx, dy] = plan.wave_grid.dk();
     Some(1e-3 * outer / plan.settings.optics.wavelength_angstrom() + dx.max(dy))
+}
+
+/// Number of frequencies of a probe in the box around a window; 0 if no detector reads the tail.
+pub(super) fn bright_box_bins(plan: &Plan) -> usize {
+    if !plan.settings.detectors.iter().any(|d| reads_tail(d, plan)) {
+        return 0;
+    }
+    let [x, y] = box_extent_angstrom(plan, LEAST_WIDTH);
+    (std::f64::consts::PI * x * y * highest_k(plan).powi(2)) as usize
 }
 
 /// The frequency (1/Angstrom) up to which the tail is added in full: in thin specimens it would reach far beyond the detectors, at the cost

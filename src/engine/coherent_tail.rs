@@ -2,7 +2,7 @@
 //!
 //! A window lacks 1 to 5 % of its probe. Electrons of that part pass the specimen at low angles, where they interfere with the wave of the
 //! window. The tail is propagated through free space, multiplied by the mean transmission of the slices around the window, and added in a
-//! box twice as wide or wider (`padded_box`). Patterns (`patterns`) and detectors that begin within 1.5 semiangles (`bright_detectors`) read the sum.
+//! box twice as wide or wider (`padded_box`). Patterns (`patterns`) and detectors that begin within two semiangles (`bright_detectors`) read the sum.
 
 use super::basis::Basis;
 use super::multislice::PathPart;
@@ -13,7 +13,9 @@ use super::probe_patches::amplitude_nyquist;
 use super::single_precision::single;
 use super::stepper::TransmissionView;
 use super::transmission::TransmissionLayout;
+use super::workspace_pool::WorkspacePool;
 use num_complex::{Complex32, Complex64};
+use rayon::prelude::*;
 
 /// The tail is added up to the angle at which electrons move by this share of the window's width inside the specimen.
 const TAIL_REACH: f64 = 0.4;
@@ -84,9 +86,12 @@ impl<'a> CoherentTail<'a> {
     pub fn shared(&self, padded: &PaddedBox, half: [f64; 2], error: f64) -> SharedWaves {
         let probes: Vec<&CroppedProbe> = self.probes.iter().map(|(_, probe)| probe).collect();
         let basis = Basis::new(&probes, half, amplitude_nyquist(self.plan), error);
-        let mut w = self.workspace();
-        let split = |j: usize| self.split.split(padded, basis.wave(j), &mut w);
-        let (inside, outside) = (0..basis.len()).map(split).unzip();
+        let workspaces = WorkspacePool::new();
+        let split = |j: usize| {
+            let wave = basis.wave(j);
+            workspaces.with(|| self.workspace(), |w| self.split.split(padded, wave, w))
+        };
+        let (inside, outside) = (0..basis.len()).into_par_iter().map(split).unzip();
         SharedWaves { inside, outside, basis }
     }
 

@@ -8,7 +8,7 @@ use super::bright_detectors::{BrightDetectors, BrightWorkspace, TailThere, windo
 use super::coherent_tail::mean_transmissions;
 use super::plan::Plan;
 use super::probe::{CroppedProbe, Probe};
-use super::probe_patches::{Patch, ProbePatches, amplitude_nyquist};
+use super::probe_patches::{Patch, ProbePatches, amplitude_nyquist, waves_of_patch};
 use super::probe_scan::{ProbePlaces, Scan};
 use super::slice_coverage::LocalSlice;
 use super::stepper::{SliceStep, StepWorkspace, Stepper, TransmissionView};
@@ -138,7 +138,8 @@ impl<'a> Multislice<'a> {
     }
 
     /// Computes what [`Multislice::run`] computes for the wanted probes, up to rounding. The others are zero. Where a patch has few wanted
-    /// probes, each is propagated as the sum of waves that its expansion is, in place of all waves.
+    /// probes, each is propagated as the sum of waves that its expansion is, in place of all waves. Few probes for detectors that read the
+    /// coherent tail are propagated as they are, since the choice of their waves takes seconds.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
@@ -149,10 +150,16 @@ impl<'a> Multislice<'a> {
         wanted: &[bool],
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
-        let (mut groups, waves) = self.groups(places);
-        groups.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted[*i]));
-        groups.retain(|g| !g.probes.is_empty());
-        self.run_groups(transmission, places.len(), (groups, waves), true, progress)
+        let mut patches = ProbePatches::new(self.plan, places);
+        let half = patches.half(self.plan);
+        patches.patches.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted[*i]));
+        patches.patches.retain(|g| !g.probes.is_empty());
+        let few = wanted.iter().filter(|w| **w).count() * self.probes.len();
+        let groups = match self.bright.is_some() && few < waves_of_patch(self.plan) {
+            true => (self.together(patches), None),
+            false => self.groups_of(patches, half),
+        };
+        self.run_groups(transmission, places.len(), groups, true, progress)
     }
 
     /// With `one_by_one`, the probes of a patch are propagated as sums of its waves where they are fewer than the waves.
@@ -213,19 +220,33 @@ impl<'a> Multislice<'a> {
     /// parts whose waves step together.
     fn groups(&mut self, places: ProbePlaces<'_>) -> (Vec<Patch>, Option<Arc<PatchWaves>>) {
         let patches = ProbePatches::new(self.plan, places);
-        if let Some(waves) = self.patch_waves(&patches) {
-            return (patches.patches, Some(waves));
+        let half = patches.half(self.plan);
+        self.groups_of(patches, half)
+    }
+
+    /// `half` is the largest distance (x, y) in Angstrom of a probe from the middle of its window.
+    fn groups_of(
+        &mut self,
+        patches: ProbePatches,
+        half: [f64; 2],
+    ) -> (Vec<Patch>, Option<Arc<PatchWaves>>) {
+        match self.patch_waves(patches.error, half) {
+            Some(waves) => (patches.patches, Some(waves)),
+            None => (self.together(patches), None),
         }
+    }
+
+    /// Divides patches into parts whose probes step together.
+    fn together(&self, patches: ProbePatches) -> Vec<Patch> {
         let most = self.stepper.waves_together();
-        (patches.patches.into_iter().flat_map(|patch| patch.split(most)).collect(), None)
+        patches.patches.into_iter().flat_map(|patch| patch.split(most)).collect()
     }
 
     /// The waves for the probes of these patches, if they are expanded. Scans of equal shape share them.
-    fn patch_waves(&mut self, patches: &ProbePatches) -> Option<Arc<PatchWaves>> {
-        let error = patches.error?;
+    fn patch_waves(&mut self, error: Option<f64>, half: [f64; 2]) -> Option<Arc<PatchWaves>> {
+        let error = error?;
         let probes: Vec<&CroppedProbe> =
             self.probes.iter().map(|(_, probe)| probe.cropped()).collect::<Option<_>>()?;
-        let half = patches.half(self.plan);
         if let Some((_, waves)) = self.waves.as_ref().filter(|known| known.0 == half) {
             return Some(waves.clone());
         }

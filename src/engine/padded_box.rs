@@ -71,6 +71,12 @@ fn times_the_window(plan: &Plan, least_width: f64) -> usize {
     ((least / x.min(y)).ceil() as usize).clamp(2, MOST_TIMES)
 }
 
+/// Width (x, y) in Angstrom of the box around the windows of a plan.
+pub(super) fn box_extent_angstrom(plan: &Plan, least_width: f64) -> [f64; 2] {
+    let times = times_the_window(plan, least_width) as f64;
+    plan.wave_grid.extent_angstrom.map(|l| times * l)
+}
+
 impl PaddedBox {
     /// Makes the box around the windows of a plan. Waves are kept up to `full_k` (1/Angstrom), and the box's frequencies up to `most_k` along
     /// each axis. `least_width` is in units of the wavelength over the semiangle.

@@ -277,10 +277,7 @@ fn distinct(values: impl Iterator<Item = usize>) -> Vec<usize> {
 
 /// The bins (row, column) of low frequency that cropped probes are limited to, sorted by row.
 pub(super) fn low_bins(plan: &Plan, grid: &Grid) -> Vec<(usize, usize)> {
-    let optics = &plan.settings.optics;
-    let keep = (optics.semiangle_mrad * 2.0).max(optics.semiangle_mrad + 20.0) * 1e-3
-        / optics.wavelength_angstrom();
-    let keep = keep.min(plan.band_limit);
+    let keep = highest_k(plan);
     let (ny, nx) = grid.shape();
     let low = |&(iy, ix): &(usize, usize)| {
         let [kx, ky] = grid.k(iy, ix);
@@ -288,6 +285,13 @@ pub(super) fn low_bins(plan: &Plan, grid: &Grid) -> Vec<(usize, usize)> {
     };
     let rows = (0..ny).filter(|iy| grid.k(*iy, 0)[1].abs() < keep);
     rows.flat_map(|iy| (0..nx).map(move |ix| (iy, ix))).filter(low).collect()
+}
+
+/// The highest frequency of cropped probes in 1/Angstrom.
+pub(super) fn highest_k(plan: &Plan) -> f64 {
+    let optics = &plan.settings.optics;
+    let angle = (optics.semiangle_mrad * 2.0).max(optics.semiangle_mrad + 20.0);
+    (angle * 1e-3 / optics.wavelength_angstrom()).min(plan.band_limit)
 }
 
 /// The bins (row, column) within an aperture, with their amplitudes.

@@ -1,5 +1,6 @@
 //! Settings of a simulation.
 
+use super::bright_detectors::reads_tail_in_windows;
 use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::optics::Optics;
@@ -167,7 +168,7 @@ pub struct Settings {
     /// Adds the intensity that the part of a probe outside its window would have scattered onto the detectors (windows and large boxes), as
     /// from free atoms; see the source of `engine::probe_tail`.
     pub tail_correction: bool,
-    /// Where tails are corrected, adds the wave of the cropped part of a probe for detectors that begin within 1.5 semiangles (windows:
+    /// Where tails are corrected, adds the wave of the cropped part of a probe for detectors that begin within two semiangles (windows:
     /// `engine::coherent_tail`), or scales images on detectors that see the direct beam so that vacuum is right (large boxes:
     /// `engine::direct_beam`). `Settings::default` has it off.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -321,6 +322,11 @@ impl Settings {
                     format!("factors must be from 1 to {MOST_INTERPOLATION}"),
                 ))
             }
+            // In a box wider than the cell, a probe that is made in the cell occurs several times.
+            Algorithm::Window { .. } if !self.large_probe_box() && self.reads_tail_in_windows() => {
+                let expected = "windows need the probe of a large box for detectors that begin within two semiangles; use `large`, or multislice";
+                Err(Error::invalid(crate::Setting::ProbeBox, "cell", expected))
+            }
             Algorithm::Window { width_angstrom: w } if !(2.0..1000.0).contains(&w) => {
                 Err(Error::invalid(
                     crate::Setting::WindowAngstrom,
@@ -336,6 +342,11 @@ impl Settings {
     pub(crate) fn large_probe_box(&self) -> bool {
         let windows = matches!(self.algorithm, Algorithm::Window { .. });
         self.probe_box.map_or(windows, |b| b == ProbeBox::Large)
+    }
+
+    /// Whether a detector reads the part of a probe outside its window, if these settings use windows.
+    pub(super) fn reads_tail_in_windows(&self) -> bool {
+        self.detectors.iter().any(|detector| reads_tail_in_windows(detector, self))
     }
 
     /// Number of phonon configurations simulated.

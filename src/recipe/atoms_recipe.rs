@@ -81,10 +81,12 @@ fn phonons_of(path: &Path, atoms: &LabelledAtoms) -> PhononTable {
         symbols.iter().map(|symbol| Some((symbol.clone(), sigma(symbol)?))).collect()
     };
     match stated.and_then(|file| of(&file.sigmas)) {
-        Some(sigma_angstrom) => PhononTable { configurations: CONFIGURATIONS, sigma_angstrom },
+        Some(sigma_angstrom) => {
+            PhononTable { configurations: CONFIGURATIONS, library_seed: 0, sigma_angstrom }
+        }
         None => {
             let still = symbols.iter().map(|symbol| (symbol.clone(), 0.0)).collect();
-            PhononTable { configurations: 1, sigma_angstrom: still }
+            PhononTable { configurations: 1, library_seed: 0, sigma_angstrom: still }
         }
     }
 }

@@ -65,7 +65,7 @@ impl CheckedRecipe {
     pub fn with_seed(&self, seed: u64) -> Result<Self> {
         let mut recipe = self.0.recipe.clone();
         recipe.seed = seed;
-        match checking::check_seed(seed) {
+        match checking::check_seed("seed", seed) {
             Ok(()) => {
                 let crystals = Arc::clone(&self.0.crystals);
                 Ok(CheckedRecipe(Arc::new(Parts { recipe, crystals })))

@@ -24,7 +24,8 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     if recipe.version != 1 {
         return fault("version", recipe.version, "this program reads recipes of version 1");
     }
-    check_seed(recipe.seed)?;
+    check_seed("seed", recipe.seed)?;
+    check_seed("phonons.library_seed", recipe.phonons.library_seed)?;
     check_names(recipe)?;
     check_field(&recipe.field)?;
     check_tables(recipe)?;
@@ -45,10 +46,10 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     Ok(crystals)
 }
 
-/// Checks the seed, which must fit into a number of TOML.
-pub fn check_seed(seed: u64) -> Checked {
+/// Checks a seed, which must fit into a number of TOML.
+pub fn check_seed(key: &str, seed: u64) -> Checked {
     let expected = || format!("expected at most {}, the largest integer of TOML", i64::MAX);
-    if i64::try_from(seed).is_err() { fault("seed", seed, expected()) } else { Ok(()) }
+    if i64::try_from(seed).is_err() { fault(key, seed, expected()) } else { Ok(()) }
 }
 
 /// Checks that the elements that the beam displaces are in the specimen.

@@ -200,7 +200,10 @@ mod tests {
         let cases: [(&[&str], &[&str]); 12] = [
             (&["boundaries=[1,1]"], &["boundaries=[1,1]: ", "expected a table"]),
             (&["dose=100"], &["dose=100: ", "a table with the keys electrons_per_angstrom2"]),
-            (&["phonons=4"], &["a table with the keys configurations, sigma_angstrom"]),
+            (
+                &["phonons=4"],
+                &["a table with the keys configurations, library_seed, sigma_angstrom"],
+            ),
             (&["vacancies.rat=0.1", "seed=2"], &["vacancies.rat=0.1: ", "did you mean `rate`?"]),
             (&["vacances.rate=0.1"], &["did you mean `vacancies`?"]),
             (&["seed=2", "vacancies.rate=abc", "field.grid=[40, 40]"], &["vacancies.rate=abc: "]),

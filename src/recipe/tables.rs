@@ -249,6 +249,10 @@ pub(crate) const MOST_POINT_DEFECTS: usize = 6;
 pub struct PhononTable {
     /// Number of frozen configurations that are averaged.
     pub configurations: usize,
+    /// Seed of the library's displacements and depths of defects. All worlds with one number share their library, with any `seed`;
+    /// another number gives a library without any image of this one.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub library_seed: u64,
     /// Standard deviation of each Cartesian component in Angstrom, per element.
     pub sigma_angstrom: BTreeMap<String, f64>,
 }
@@ -259,6 +263,10 @@ pub struct PhononTable {
 pub struct Dose {
     /// Electrons per square Angstrom of the field.
     pub electrons_per_angstrom2: f64,
+}
+
+fn is_zero(number: &u64) -> bool {
+    *number == 0
 }
 
 impl PhononTable {

@@ -129,13 +129,13 @@ impl SimulationJob {
             return at_once(found);
         }
         // The widest window of the series is wide enough for all its images.
-        let widths =
-            found.iter().filter_map(|one| one.window()).map(|window| window.width_angstrom);
-        let width_angstrom = widths.fold(0.0, f64::max);
+        let windows = || found.iter().filter_map(AccuracyFound::window);
+        let width_angstrom = windows().map(|window| window.width_angstrom).fold(0.0, f64::max);
+        let angle_margin = windows().map(|window| window.angle_margin).fold(0.0, f64::max);
         let algorithm = Algorithm::Window { width_angstrom };
         found.iter_mut().for_each(|one| one.algorithm = algorithm);
         let plan = |settings: Settings| {
-            let settings = Settings { algorithm, ..settings };
+            let settings = Settings { algorithm, angle_margin, ..settings };
             Plan::new(&settings, size, &self.specimen().heights_angstrom)
         };
         Ok(Some((all.into_iter().map(plan).collect::<Result<_>>()?, found)))

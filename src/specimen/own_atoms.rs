@@ -36,6 +36,7 @@ pub struct OwnAtoms {
     repeating: RepeatingUnits,
     /// Displacement (x, y) of a tilted beam at half thickness, in Angstrom.
     way_angstrom: [f64; 2],
+    library_seed: u64,
     facts: SpecimenFacts,
     boundaries: Vec<Boundary>,
     particles: Vec<HeldParticle>,
@@ -132,7 +133,17 @@ impl OwnAtoms {
         let shown_within_angstrom = Some(MOST_SHOWN_ANGSTROM);
         let facts = SpecimenFacts { expected_sites, shown_within_angstrom, ..facts };
         let particles = Vec::new();
-        OwnAtoms { columns, phases, repeating, way_angstrom, facts, boundaries, particles }
+        let library_seed = recipe.phonons.library_seed;
+        OwnAtoms {
+            columns,
+            phases,
+            repeating,
+            way_angstrom,
+            library_seed,
+            facts,
+            boundaries,
+            particles,
+        }
     }
 
     /// A column without its sites.
@@ -244,7 +255,7 @@ impl SpecimenLayout for OwnAtoms {
 
     fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
         let beam = (self.facts.thickness_angstrom(), self.way_angstrom);
-        self.repeating.library_cell(&self.columns, family, beam)
+        self.repeating.library_cell(&self.columns, family, beam, self.library_seed)
     }
 
     fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {

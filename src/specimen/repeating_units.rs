@@ -178,12 +178,13 @@ impl RepeatingUnits {
     }
 
     /// The library cell of a group: its model, and the columns around it. A tilted beam is displaced by `way` (Angstrom) at half thickness,
-    /// and the scan lies there.
+    /// and the scan lies there. `library_seed` is the recipe's.
     pub(super) fn library_cell(
         &self,
         columns: &HeldColumns,
         family: UnitFamily,
         (thickness_angstrom, way): (f64, [f64; 2]),
+        library_seed: u64,
     ) -> Option<LibraryCell> {
         let group = self.groups.get(family.motif)?;
         let scan = plane::per_axis(group.scan, way, |ends, way| ends.map(|end| end - way));
@@ -220,6 +221,7 @@ impl RepeatingUnits {
             count: group.cells,
             process: None,
             rate: 0.0,
+            seed: library_seed,
             units: vec![unit],
             surroundings: columns.inside(&around).filter(|n| !is_member(n)).map(sites).collect(),
         })

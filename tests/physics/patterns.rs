@@ -202,13 +202,17 @@ fn threads_change_no_pattern() {
 fn what_has_no_patterns_is_refused() {
     let (sites, size) = srtio3(6, 1);
     let scan = Scan { origin_angstrom: [0.0; 2], step_angstrom: [1.0; 2], shape: [1, 1] };
-    let refused = |algorithm: Algorithm, detector: PixelatedDetector| {
-        let settings = Settings { probe_box: None, ..settings(algorithm) };
-        let asked = PatternSettings { detector: detector.into(), coherent_tail: true };
+    let refused_in = |probe_box: Option<ProbeBox>, algorithm: Algorithm, detector| {
+        let settings = Settings { probe_box, ..settings(algorithm) };
+        let detector = PatternDetector::Pixels(detector);
+        let asked = PatternSettings { detector, coherent_tail: true };
         let plan = plan(&settings, &sites, size);
         let never = &mut |_: PatternRows<'_>| -> stemgen::Result<()> { panic!("a pattern") };
         simulate_patterns(&plan, &[&sites], &scan, asked, never, &Silent).unwrap_err().to_string()
     };
+    let refused = |algorithm, detector| refused_in(None, algorithm, detector);
+    let windows = Algorithm::Window { width_angstrom: 7.8 };
+    assert!(refused_in(Some(ProbeBox::Cell), windows, DETECTOR).contains("large box"));
     let prism = Algorithm::Prism { interpolation: [1, 1] };
     assert!(refused(prism, DETECTOR).contains("PRISM"));
     let wide = PixelatedDetector { max_angle_mrad: 200.0, ..DETECTOR };

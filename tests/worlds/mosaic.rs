@@ -11,7 +11,7 @@ use stemgen::imaging::{
     MosaicImager, PixelRect, RasterDetail, RegionImager, SharedLibrary, Simulator, TurnedRaster,
     audit,
 };
-use stemgen::io::WorldFile;
+use stemgen::io::{GroundTruth, WorldFile};
 use stemgen::progress::{Progress, Silent};
 use stemgen::recipe::{Difficulty, Recipe, Region};
 use stemgen::specimen::{SiteKind, Specimen};
@@ -239,6 +239,44 @@ fn bytes_depend_neither_on_threads_nor_on_the_cache() {
     }
     assert_eq!(images["cold"], images["warm"]);
     assert_eq!(images["cold"], images["none"]);
+}
+
+#[test]
+fn another_library_seed_shares_no_image_with_the_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let with = |name: &str, library_seed: u64, seed: u64| {
+        let mut recipe = recipe(0, 0.1);
+        (recipe.phonons.library_seed, recipe.seed) = (library_seed, seed);
+        let options = BuildOptions {
+            keep_clean: true,
+            subtile_nm: Some(3.0),
+            subtile_overlap_nm: Some(0.4),
+            audit_regions: 0,
+            method: BuildMethod::Mosaic,
+            window_angstrom: Some(7.8),
+            cache: Cache::at(folder.path().join("cache")),
+            ..BuildOptions::default()
+        };
+        let path = folder.path().join(name);
+        let done = build(&recipe.checked().unwrap(), &path, &options, &Silent).unwrap();
+        (done.library.unwrap(), WorldFile::open(&path).unwrap())
+    };
+    let ([images, _], first) = with("first.h5", 0, 3);
+    let (second_library, second) = with("second.h5", 1, 3);
+    assert_eq!(second_library, [images; 2], "all images are simulated anew");
+    assert_eq!(with("third.h5", 1, 4).0[1], 0, "worlds with one library seed share their images");
+    let [one, two] = [&first, &second].map(|world| world.clean_tile(1, 1).unwrap());
+    let mean = |tile: &Array2<f32>| f64::from(tile.sum()) / tile.len() as f64;
+    let rms = (&one - &two).mapv(|d| f64::from(d).powi(2)).mean().unwrap().sqrt();
+    assert!((mean(&one) / mean(&two) - 1.0).abs() < 0.02, "{} {}", mean(&one), mean(&two));
+    assert!(rms > 0.01 * mean(&one), "{rms}");
+    // Each column keeps its number of vacancies; they lie at other depths.
+    let [truth, other] =
+        [&first, &second].map(|world| world.truth(0..world.site_count().unwrap()).unwrap());
+    let vacancies = |truth: &GroundTruth| truth.defects.iter().filter(|d| **d).count();
+    assert!(vacancies(&truth) > 50);
+    assert_eq!(vacancies(&truth), vacancies(&other));
+    assert_ne!(truth.defects, other.defects);
 }
 
 #[test]

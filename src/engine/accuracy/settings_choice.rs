@@ -1,7 +1,9 @@
 //! Settings for a requested error, measured on the specimen.
 //!
 //! A sample of the scan's probes is simulated by the exact engine ([`ExactEngine`]), and again in windows, exactly as the whole scan would
-//! be. The narrowest window with a small enough error is chosen. If there is none, the exact engine is chosen.
+//! be. The narrowest window with a small enough error is chosen. Where the error stops falling with the width, it is that of the windows'
+//! coarser grid (0.54 % for a particle of gold): they are tried again on a grid that carries the angles of the exact engine. If no window
+//! has a small enough error, the exact engine is chosen.
 
 use super::super::cost::Cost;
 use super::super::elements;
@@ -9,16 +11,16 @@ use super::super::plan::Plan;
 use super::super::probe_raster::ProbeRaster;
 use super::super::probe_scan::Scan;
 use super::super::probe_width::{geometric_radius, relative_size};
-use super::super::settings::{Algorithm, ProbeStep, Settings};
+use super::super::settings::{Algorithm, GridChoice, ProbeBox, ProbeStep, Settings};
 use super::super::simulate::Simulation;
+use super::accuracy_found::{AccuracyFound, TriedWindow};
 use super::error_estimate::{AccuracyVerdict, ErrorEstimate};
 use super::exact_probes::{ExactEngine, by_cluster, interpolated_step};
 use super::probe_sample::{DrawnCluster, ProbeSample};
 use crate::error::{Error, Result};
 use crate::progress::{InterruptOnly, Progress};
 use crate::structure::Site;
-use serde::Serialize;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 
 /// Windows that are tried, in Angstrom at 200 kV and 21 mrad, each with a least error in per cent: of images of one configuration, and of
 /// means over several, in which most of the error averages out. The search begins at the first window whose least error is not above the
@@ -48,100 +50,18 @@ const FRAMES: usize = 4;
 /// Largest share of the whole scan's operations that a round should need.
 const SHARE: f64 = 0.02;
 
+/// The error has stopped falling if that of a window is above this share of the next narrower one's.
+const STOPPED: f64 = 0.8;
+/// A grid is finer if it carries angles larger by this factor, up to a largest margin.
+const FINER: f64 = 1.02;
+const MOST_MARGIN: f64 = 1.4;
+
 /// Error in per cent of the mean of slices at the heights of the atoms in each window ([`LOCAL_ANGSTROM`]), rms, which the sample may not
 /// see, since the exact engine of wide cells has such slices too. Against slices of 0.02 to 0.05 A: 0.10 % for a tilted Pt particle, 0.19 %
 /// for a Au particle on carbon.
 ///
 /// [`LOCAL_ANGSTROM`]: crate::potential::slices::LOCAL_ANGSTROM
 const LOCAL_SLICES_PERCENT: f64 = 0.2;
-
-/// A window that was tried.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct TriedWindow {
-    /// Width of the window in Angstrom.
-    pub width_angstrom: f64,
-    /// Rms error on the sample with that of local slices, in per cent of the mean image.
-    pub found_percent: f64,
-    /// Largest likely error of the whole image: the error on the sample plus a standard error, with that of local slices.
-    pub likely_percent: f64,
-    /// Number of probes in the sample.
-    pub probes: usize,
-}
-
-/// The result of the search for settings with a requested error.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct AccuracyFound {
-    /// The requested rms error, in per cent of the mean image. It applies to each image, if there are several.
-    pub asked_percent: f64,
-    /// The chosen algorithm.
-    pub algorithm: Algorithm,
-    /// Whether the last tried window is used; otherwise the exact engine is.
-    pub holds: bool,
-    /// Whether no window was tried yet: the engine is chosen when the simulation runs.
-    pub chosen_later: bool,
-    /// The windows that were tried, in order. If one holds, it is the last. Empty if the exact engine is not slower.
-    pub tried: Vec<TriedWindow>,
-    /// Name of the exact engine that the windows were compared with.
-    pub reference: String,
-}
-
-impl AccuracyFound {
-    /// The window that is used, with its error; `None` for the exact engine.
-    pub(crate) fn window(&self) -> Option<&TriedWindow> {
-        self.tried.last().filter(|_| self.holds)
-    }
-
-    /// The result of a search without a tried window: the exact engine.
-    pub(crate) fn exact(asked_percent: f64, exact: &ExactEngine) -> Self {
-        let algorithm = exact.plan.settings.algorithm;
-        let (tried, reference) = (Vec::new(), exact.name());
-        let (holds, chosen_later) = (false, false);
-        AccuracyFound { asked_percent, algorithm, holds, chosen_later, tried, reference }
-    }
-
-    /// Describes the result in a sentence.
-    pub fn text(&self) -> String {
-        let against = &self.reference;
-        let each =
-            |t: &TriedWindow| format!("{:.1} A: {}", t.width_angstrom, percent(t.found_percent));
-        if self.chosen_later {
-            return format!(
-                "{} asked; the run chooses the engine on a sample of probes; this plan is for the exact engine, {against}",
-                percent(self.asked_percent)
-            );
-        }
-        match (self.window(), self.tried.is_empty()) {
-            (Some(t), _) => format!(
-                "{} asked; found {} (at most {} is likely) on {} probes, against {against}",
-                percent(self.asked_percent),
-                percent(t.found_percent),
-                percent(t.likely_percent),
-                t.probes
-            ),
-            (None, true) => format!(
-                "{} asked; the exact engine, {against}, since windows would not save time",
-                percent(self.asked_percent)
-            ),
-            (None, false) => format!(
-                "{} asked; the exact engine, {against}, since windows that save time have larger errors here ({})",
-                percent(self.asked_percent),
-                self.tried.iter().map(each).collect::<Vec<_>>().join(", ")
-            ),
-        }
-    }
-}
-
-/// Formats per cent with two digits.
-fn percent(value: f64) -> String {
-    match value {
-        v if v >= 9.95 => format!("{v:.0} %"),
-        v if v >= 0.995 => format!("{v:.1} %"),
-        v if v >= 0.0995 => format!("{v:.2} %"),
-        v => format!("{v:.3} %"),
-    }
-}
 
 /// Chooses settings for the images of a scan whose rms error against the exact engine is at most `accuracy_percent` of the mean image, for
 /// every detector and thickness. The exact engine is `ExactEngine` with otherwise equal settings. Probes have norm 1 in a large box in
@@ -176,7 +96,12 @@ pub fn settings_for_accuracy(
         accuracy_percent,
         cell_angstrom,
     };
-    let window = search.window(&mut found.tried, progress)?;
+    let in_cell = base.probe_box == Some(ProbeBox::Cell);
+    found.needs_large_box = in_cell && base.reads_tail_in_windows();
+    let window = match found.needs_large_box {
+        true => None,
+        false => search.window(&mut found.tried, progress)?,
+    };
     found.holds = window.is_some();
     let chosen = window.unwrap_or_else(|| search.exact.plan.settings.clone());
     found.algorithm = chosen.algorithm;
@@ -227,6 +152,14 @@ struct FrameSample {
     exact: Vec<Vec<Vec<f64>>>,
 }
 
+/// The sample of a search, made when the first window is tried.
+#[derive(Default)]
+struct SearchSample {
+    /// The sample, the numbers of clusters and of probes in each, and the largest number of rounds.
+    drawn: Option<(ProbeSample, [usize; 2], u32)>,
+    rounds: Vec<Round>,
+}
+
 impl Search<'_> {
     /// Finds the settings with the narrowest window that holds, if there is one that saves time.
     fn window(
@@ -234,49 +167,61 @@ impl Search<'_> {
         tried: &mut Vec<TriedWindow>,
         progress: &dyn Progress,
     ) -> Result<Option<Settings>> {
-        let exact_raster = *ProbeRaster::new(&self.exact.plan, self.asked)?.scan();
-        let exact_flops =
-            Cost::with_atoms(&self.exact.plan, &exact_raster, self.frames[0]).nominal_flops();
-        let mut sample = None;
-        let mut rounds = Vec::new();
-        for settings in self.candidates()? {
-            let plan = self.plan(&settings)?;
-            let raster = *ProbeRaster::new(&plan, self.asked)?.scan();
-            let flops = Cost::with_atoms(&plan, &raster, self.frames[0]).nominal_flops();
-            if !plan.has_windows() || flops > WORTH * exact_flops {
-                break;
-            }
-            let (sample, shape, most_rounds) = sample.get_or_insert_with(|| {
-                let [x, y, _] = self.cell_angstrom;
-                let sample = ProbeSample::new(&raster, self.sampled_atoms(), [x, y]);
-                let (shape, most_rounds) = self.sample_shape(&sample, flops);
-                (sample, shape, most_rounds)
-            });
-            let per_round = shape[0] * shape[1];
-            // A sample of a large share of the scan would take as long as the scan.
-            if 2 * per_round > self.asked.len() {
-                break;
-            }
-            let estimate = self.estimate(
-                &plan,
-                &raster,
-                (sample, *shape, *most_rounds),
-                &mut rounds,
-                progress,
-            )?;
-            let [found_percent, likely_percent] =
-                estimate.percent().map(|percent| percent.hypot(slices_percent(&plan)));
-            tried.push(TriedWindow {
-                width_angstrom: width(&settings),
-                found_percent,
-                likely_percent,
-                probes: estimate.clusters() * shape[1],
-            });
-            if likely_percent <= self.accuracy_percent {
+        let (mut sample, candidates) = (SearchSample::default(), self.candidates()?);
+        let (mut next, mut finer) = (VecDeque::from(candidates.clone()), false);
+        while let Some(settings) = next.pop_front() {
+            let Some(window) = self.attempt(&settings, &mut sample, progress)? else { break };
+            tried.push(window);
+            if window.likely_percent <= self.accuracy_percent {
                 return Ok(Some(settings));
+            }
+            let again = self.on_finer_grid(tried, &candidates);
+            if !finer && !again.is_empty() {
+                (next, finer) = (again.into(), true);
             }
         }
         Ok(None)
+    }
+
+    /// Measures the error of a window; `None` if it would not save time.
+    fn attempt(
+        &self,
+        settings: &Settings,
+        SearchSample { drawn, rounds }: &mut SearchSample,
+        progress: &dyn Progress,
+    ) -> Result<Option<TriedWindow>> {
+        let flops_of = |plan: &Plan, raster: &Scan| {
+            Cost::with_atoms(plan, raster, self.frames[0]).nominal_flops()
+        };
+        let exact_raster = *ProbeRaster::new(&self.exact.plan, self.asked)?.scan();
+        let plan = self.plan(settings)?;
+        let raster = *ProbeRaster::new(&plan, self.asked)?.scan();
+        let flops = flops_of(&plan, &raster);
+        if !plan.has_windows() || flops > WORTH * flops_of(&self.exact.plan, &exact_raster) {
+            return Ok(None);
+        }
+        let (sample, shape, most_rounds) = drawn.get_or_insert_with(|| {
+            let [x, y, _] = self.cell_angstrom;
+            let sample = ProbeSample::new(&raster, self.sampled_atoms(), [x, y]);
+            let (shape, most_rounds) = self.sample_shape(&sample, flops);
+            (sample, shape, most_rounds)
+        });
+        let per_round = shape[0] * shape[1];
+        // A sample of a large share of the scan would take as long as the scan.
+        if 2 * per_round > self.asked.len() {
+            return Ok(None);
+        }
+        let estimate =
+            self.estimate(&plan, &raster, (sample, *shape, *most_rounds), rounds, progress)?;
+        let [found_percent, likely_percent] =
+            estimate.percent().map(|percent| percent.hypot(slices_percent(&plan)));
+        Ok(Some(TriedWindow {
+            width_angstrom: width(settings),
+            angle_margin: settings.angle_margin,
+            found_percent,
+            likely_percent,
+            probes: estimate.clusters() * shape[1],
+        }))
     }
 
     /// Settings with windows, narrow ones first. All have equal probes.
@@ -300,6 +245,24 @@ impl Search<'_> {
             candidates.iter_mut().for_each(|c| c.probe_step = probe_step);
         }
         Ok(candidates)
+    }
+
+    /// The windows again on a grid that carries the angles of the exact engine, where the errors of those that were tried have stopped
+    /// falling with the width: from the first on whose error without the others' least one is not above the requested one.
+    fn on_finer_grid(&self, tried: &[TriedWindow], candidates: &[Settings]) -> Vec<Settings> {
+        let outermost = self.base.detectors.iter().map(|d| d.outer_mrad).fold(0.0, f64::max);
+        let angle_margin = (self.exact.plan.band_limit_mrad / outermost.max(1e-9)).min(MOST_MARGIN);
+        let [.., before, last] = tried else { return Vec::new() };
+        let stopped = last.found_percent > STOPPED * before.found_percent;
+        let coarse = angle_margin > FINER * self.base.angle_margin;
+        if self.base.grid != GridChoice::Auto || !stopped || !coarse {
+            return Vec::new();
+        }
+        let least = tried.iter().map(|t| t.found_percent).fold(f64::INFINITY, f64::min);
+        let alone = |t: &TriedWindow| (t.found_percent.powi(2) - least.powi(2)).max(0.0).sqrt();
+        let first = tried.iter().position(|t| alone(t) <= self.accuracy_percent);
+        let again = &candidates[first.unwrap_or(tried.len())..];
+        again.iter().map(|c| Settings { angle_margin, ..c.clone() }).collect()
     }
 
     fn plan(&self, settings: &Settings) -> Result<Plan> {

@@ -150,6 +150,11 @@ fn check(plan: &Plan, settings: &PatternSettings) -> Result<()> {
         let expected = "PRISM cannot simulate patterns; use multislice or windows";
         return Err(Error::invalid(Setting::Algorithm, "prism", expected));
     }
+    if plan.has_windows() && !plan.settings.large_probe_box() {
+        let expected =
+            "windows of patterns need the probe of a large box; use `large`, or multislice";
+        return Err(Error::invalid(Setting::ProbeBox, "cell", expected));
+    }
     let limit = plan.band_limit_mrad;
     let most = settings.detector.max_angle_mrad();
     if most > limit * (1.0 + 1e-9) {

@@ -411,6 +411,9 @@ fn description(library_cell: &LibraryCell, family: UnitFamily, number: usize) ->
         let _ = write!(text, "{:?}|", patterns[number]);
     }
     library_cell.surroundings.iter().for_each(|c| column(&mut text, c));
+    if library_cell.seed != 0 {
+        let _ = write!(text, " seed {}", library_cell.seed);
+    }
     text
 }
 

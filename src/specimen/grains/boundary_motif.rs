@@ -63,7 +63,7 @@ impl BoundaryMotif {
         depth: usize,
         process: Option<DefectKind>,
         [patches, configurations]: [usize; 2],
-        (seed, stream): (u64, u64),
+        (seed, library_seed, stream): (u64, u64, u64),
     ) -> Self {
         let near = |c: &BoundaryColumn| c.position[0].abs() <= SLOT_REACH_ANGSTROM;
         let (slots, others): (Vec<_>, Vec<_>) = columns.into_iter().partition(near);
@@ -76,7 +76,7 @@ impl BoundaryMotif {
         let least = LEAST_CONTENTS.div_ceil(periods);
         let count = library_cells(patches, slots.len() * periods, configurations).max(least);
         let lookup = slots.iter().enumerate().map(|(n, s)| (rounded(s.position), n)).collect();
-        let pool = DefectPatterns::new(sites, [count, periods], 1 + stream);
+        let pool = DefectPatterns::new(sites, [count, periods], (library_seed, 1 + stream));
         BoundaryMotif { period, slots, lookup, others, pool, periods, process, seed }
     }
 
@@ -171,6 +171,7 @@ impl BoundaryMotif {
             count,
             process: self.process,
             rate: patterns::rate_of(bin),
+            seed: self.pool.seed(),
             units: (0..self.periods).flat_map(all).map(|(p, k)| unit(p, k)).collect(),
             surroundings: (0..self.periods)
                 .flat_map(|p| self.others.iter().map(move |c| (c, p)))

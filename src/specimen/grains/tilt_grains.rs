@@ -363,12 +363,12 @@ impl Grains {
                     let motif = motifs.len();
                     for contents in &self.contents {
                         let (depth, process) = (self.cells_along_beam, contents.process);
-                        let stream = (contents.seed(), (motif / kinds) as u64);
+                        let library_seed = recipe.phonons.library_seed;
+                        let seeds = (contents.seed(), library_seed, (motif / kinds) as u64);
                         let size = [contents.patches, recipe.phonons.configurations];
                         let columns = columns.clone();
-                        motifs.push(BoundaryMotif::new(
-                            columns, period, depth, process, size, stream,
-                        ));
+                        motifs
+                            .push(BoundaryMotif::new(columns, period, depth, process, size, seeds));
                     }
                     Repeat { motif, flip: [1.0; 2], origin }
                 })

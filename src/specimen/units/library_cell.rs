@@ -55,6 +55,8 @@ pub struct LibraryCell {
     pub process: Option<DefectKind>,
     /// Rate of defects in the surroundings.
     pub rate: f64,
+    /// Seed of the library (`phonons.library_seed`).
+    pub seed: u64,
     /// Units of all kinds in all cells.
     pub units: Vec<LibraryUnit>,
     /// Columns around the units that only serve as surroundings; their site numbers of defects have no meaning.
@@ -111,6 +113,7 @@ impl LibraryCell {
             count,
             process: contents.process,
             rate: patterns::rate_of(bin),
+            seed: contents.pool.seed(),
             units,
             surroundings: Vec::new(),
         }

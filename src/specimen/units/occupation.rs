@@ -130,7 +130,8 @@ impl UnitOccupation {
         let units_per_cell = per_library_cell * units.kinds.len();
         let library_cells = library_cells(patches, units_per_cell, configurations);
         let sites = per_cell.iter().map(|n| n * depth).collect();
-        let pool = DefectPatterns::new(sites, [library_cells, per_library_cell], 0);
+        let layout = [library_cells, per_library_cell];
+        let pool = DefectPatterns::new(sites, layout, (recipe.phonons.library_seed, 0));
         let seed = recipe.seed;
         Ok(UnitOccupation { units, process, pool, lattice_cells, patches, places, per_cell, seed })
     }

@@ -21,8 +21,10 @@ const RATES: [f64; 14] =
 const LEAST_PROBABILITY: f64 = 3e-4;
 /// In pools that would have no defect, one cell in this many has one.
 const FEW_CELLS: usize = 4;
-/// Seed of the patterns. All worlds have the same patterns, so that they share libraries.
+/// Seed of the patterns of the first library. All worlds have the same patterns, so that they share libraries.
 const SEED: u64 = 0x5354_454d_504f_4f4c;
+/// Makes the patterns of other libraries different.
+const LIBRARY_SEED: u64 = 0xD134_2543_DE82_EF95;
 
 /// Returns the bin of a rate; the first bin is for units without defects only.
 pub(crate) fn bin_of(rate: f64) -> usize {
@@ -65,14 +67,14 @@ pub(crate) struct PatternTable {
 }
 
 impl PatternTable {
-    /// Draws the patterns of units with `sites` sites, for `library_cells` library cells of `per_library_cell` lattice cells. `stream`
-    /// distinguishes kinds of units. A larger pool begins with the library cells of a smaller one, so that worlds with different numbers of
+    /// Draws the patterns of units with `sites` sites, for `library_cells` library cells of `per_library_cell` lattice cells. `seed` is the
+    /// library's, and `stream` distinguishes kinds of units. A larger pool begins with the library cells of a smaller one, so that worlds with different numbers of
     /// phonon configurations share them.
     pub(crate) fn new(
         sites: usize,
         bin: usize,
         [library_cells, per_library_cell]: [usize; 2],
-        stream: u64,
+        (seed, stream): (u64, u64),
     ) -> Self {
         let cells = library_cells * per_library_cell;
         let mut counts: Vec<usize> = (0..library_cells)
@@ -84,8 +86,9 @@ impl PatternTable {
         }
         // The lattice cells of each library cell are in random order, so that neighbours are independent.
         let mut order: Vec<usize> = (0..cells).collect();
+        let seed = SEED ^ seed.wrapping_mul(LIBRARY_SEED);
         let word = |n: u64, draw: u32| {
-            rng::words(SEED ^ stream.rotate_left(32), Purpose::Pool, draw, (bin as u64) << 32 | n)
+            rng::words(seed ^ stream.rotate_left(32), Purpose::Pool, draw, (bin as u64) << 32 | n)
         };
         order.sort_by_key(|&n| (n / per_library_cell, word(n as u64, 0), n));
         let mut patterns = vec![Vec::new(); cells];
@@ -179,22 +182,31 @@ pub(crate) struct DefectPatterns {
     sites: Vec<usize>,
     /// Number of library cells, and of lattice cells in each.
     layout: [usize; 2],
+    /// Seed of the library (`phonons.library_seed`).
+    seed: u64,
     stream: u64,
     tables: Vec<OnceLock<PatternTable>>,
 }
 
 impl DefectPatterns {
-    /// Prepares a pool of patterns for each bin and kind of unit; `layout` is the number of library cells, and of lattice cells in each.
-    pub(crate) fn new(sites: Vec<usize>, layout: [usize; 2], stream: u64) -> Self {
+    /// Prepares a pool of patterns for each bin and kind of unit; `layout` is the number of library cells, and of lattice cells in each,
+    /// `seed` the library's seed.
+    pub(crate) fn new(sites: Vec<usize>, layout: [usize; 2], (seed, stream): (u64, u64)) -> Self {
         let tables = (0..sites.len() * RATES.len()).map(|_| OnceLock::new()).collect();
-        DefectPatterns { sites, layout, stream, tables }
+        DefectPatterns { sites, layout, seed, stream, tables }
     }
 
     /// Returns the patterns of a kind of unit in a bin.
     pub(crate) fn patterns(&self, kind: usize, bin: usize) -> &PatternTable {
         self.tables[kind * RATES.len() + bin].get_or_init(|| {
-            PatternTable::new(self.sites[kind], bin, self.layout, self.stream << 16 | kind as u64)
+            let stream = self.stream << 16 | kind as u64;
+            PatternTable::new(self.sites[kind], bin, self.layout, (self.seed, stream))
         })
+    }
+
+    /// Returns the seed of the library.
+    pub(crate) fn seed(&self) -> u64 {
+        self.seed
     }
 
     /// Returns the number of sites of a kind of unit that may be defects.
@@ -328,7 +340,7 @@ mod tests {
     fn draws_have_the_binomial_mean_and_variance_and_use_all_sites() {
         let (sites, n) = (26, 40_000);
         for rate in [0.0, 0.01, 0.05, 0.12, 0.25] {
-            let patterns = PatternTable::new(sites, bin_of(rate), [4, 36], 3);
+            let patterns = PatternTable::new(sites, bin_of(rate), [4, 36], (0, 3));
             let u = |k: u32, i: u64| rng::uniform(9, Purpose::Defect, k, i);
             let mut hits = vec![0.0; sites];
             let (mut sum, mut square) = (0.0, 0.0);
@@ -355,7 +367,7 @@ mod tests {
     #[test]
     fn small_pools_have_the_right_mean_too() {
         for (rate, cells) in [(0.022, [1, 4]), (0.09, [2, 2]), (0.25, [1, 6])] {
-            let patterns = PatternTable::new(26, bin_of(rate), cells, 5);
+            let patterns = PatternTable::new(26, bin_of(rate), cells, (0, 5));
             let n = 60_000;
             let number = |i: u64| {
                 let u = |k| rng::uniform(8, Purpose::Defect, k, i);
@@ -371,8 +383,8 @@ mod tests {
     #[test]
     fn more_library_cells_begin_with_those_of_fewer() {
         for rate in [0.01, 0.12] {
-            let few = PatternTable::new(26, bin_of(rate), [2, 25], 3);
-            let more = PatternTable::new(26, bin_of(rate), [5, 25], 3);
+            let few = PatternTable::new(26, bin_of(rate), [2, 25], (0, 3));
+            let more = PatternTable::new(26, bin_of(rate), [5, 25], (0, 3));
             assert_eq!(few.cells, more.cells[..50]);
             assert_ne!(more.cells[..25], more.cells[25..50]);
         }
@@ -381,7 +393,7 @@ mod tests {
 
     #[test]
     fn the_nearest_pattern_has_the_number_and_few_sites_beside_the_allowed() {
-        let patterns = PatternTable::new(20, bin_of(0.15), [8, 25], 1);
+        let patterns = PatternTable::new(20, bin_of(0.15), [8, 25], (0, 1));
         let allowed: Vec<bool> = (0..20).map(|s| s < 6).collect();
         let inside = |cell: usize| patterns.cells[cell].iter().filter(|s| **s < 6).count();
         let wanted = [1, 2, 4];
@@ -401,8 +413,23 @@ mod tests {
     }
 
     #[test]
+    fn another_library_has_the_same_numbers_of_defects_at_other_depths() {
+        for bin in [2, 5] {
+            let [one, two] = [0, 1].map(|seed| PatternTable::new(26, bin, [8, 25], (seed, 3)));
+            let numbers = |table: &PatternTable| -> Vec<usize> {
+                table.by_count.iter().map(Vec::len).collect()
+            };
+            assert_eq!(numbers(&one), numbers(&two));
+            let same = one.cells.iter().zip(&two.cells).filter(|(a, b)| a == b).count();
+            // Cells without defects are alike in both.
+            assert!(same < 100 + one.by_count[0].len(), "{same}");
+            assert_ne!(one.cells, two.cells);
+        }
+    }
+
+    #[test]
     fn only_allowed_sites_are_taken() {
-        let patterns = PatternTable::new(20, bin_of(0.15), [8, 25], 1);
+        let patterns = PatternTable::new(20, bin_of(0.15), [8, 25], (0, 1));
         let allowed: Vec<bool> = (0..20).map(|s| s < 9).collect();
         let mut found = 0;
         for i in 0..500 {
