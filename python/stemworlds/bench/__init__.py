@@ -32,6 +32,7 @@ from .findings import NO_PHASE, Findings
 from .forecasts import ForecastScore, score_forecasts
 from .ideal import Ideal
 from .navigators import GaussianProcess, RandomMask, RandomTiles, Raster
+from .networks import packaged_networks
 from .neural import NeuralAnalyst
 from .onnx import OnnxAnalyst
 from .planners import LanguageModelPlanner, ModePlanner, NoPlanner, PlannerLimits
@@ -109,6 +110,7 @@ __all__ = [
     "make_agent",
     "on_checkpoints",
     "packaged_experiments",
+    "packaged_networks",
     "paired_wilcoxon",
     "play",
     "rank_agreement",

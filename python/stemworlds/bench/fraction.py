@@ -89,10 +89,11 @@ def fractions(
     """Compares a network, or an ensemble, with the ideal observer.
 
     The tiles have the form of the benchmark: unrotated, with the recipe's pixel size, from a specimen that was not used for training. All
-    specimens of a recipe use one library, so training has used its simulations with their phonons and defects.
+    specimens of a recipe use one library, so training has used its simulations with their phonons and defects; a recipe with another
+    ``phonons.library_seed`` shows neither of them.
 
     Args:
-        models: files of networks from ``stemworlds train``.
+        models: files of networks from ``stemworlds train``, or names of shipped networks.
         recipe: recipe of the specimen.
         doses: doses in electrons per square Angstrom. All doses use the same places.
         tiles: number of tiles.

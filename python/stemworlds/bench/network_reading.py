@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ..errors import FormatError, _invalid
 from .network_format import INPUTS, KEY, OUTPUTS, Card
+from .networks import path_of
 from .onnx_session import opened
 
 Values = npt.NDArray[np.float64]
@@ -48,7 +49,7 @@ class Reader:
     """Runs one or several networks, and averages their outputs.
 
     Args:
-        models: path of an ONNX file, or several paths. All networks have to distinguish the same kinds.
+        models: path of an ONNX file or name of a shipped network, or several. All networks have to distinguish the same kinds.
         least: the least probability of a column.
 
     Raises:
@@ -57,10 +58,10 @@ class Reader:
     """
 
     def __init__(self, models: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], least: float) -> None:
-        paths = [models] if isinstance(models, str | os.PathLike) else list(models)
+        paths = [path_of(model) for model in ([models] if isinstance(models, str | os.PathLike) else models)]
         if not paths:
             raise _invalid("models", "expected one network or more")
-        opened = [_opened(os.fspath(path)) for path in paths]
+        opened = [_opened(path) for path in paths]
         self._sessions = [session for session, _ in opened]
         self.card: Card = opened[0][1]
         self._least = least

@@ -57,7 +57,8 @@ class NeuralAnalyst(TileByTile):
     several recordings of a column is added.
 
     Args:
-        models: path of an ONNX file from ``stemworlds train``, or several paths. The evidence of an ensemble is averaged.
+        models: path of an ONNX file from ``stemworlds train`` or name of a shipped network (:func:`packaged_networks`), or several. The
+            evidence of an ensemble is averaged.
         least: the least probability of a column.
         detector_mrad, thickness_nm: angles ``(inner, outer)`` and thickness, instead of the recipe's values.
     """
