@@ -4,7 +4,6 @@
 //! Angles beyond the reach of the tail are read from the window's own frequencies. Other detectors see only electrons of the tail that atoms
 //! scattered (`probe_tail`).
 
-use super::accuracy::LEAST_INNER_SEMIANGLES;
 use super::coherent_tail::{CoherentTail, full_k, least_full_k};
 use super::grid::Grid;
 use super::multislice::PathPart;
@@ -14,7 +13,7 @@ use super::padded_box::{
 use super::plan::Plan;
 use super::probe::highest_k;
 use super::probe_patches::window_centre;
-use super::settings::Settings;
+use super::settings::LEAST_INNER_SEMIANGLES;
 use crate::detect::{Detector, DetectorMap};
 use crate::optics::Optics;
 use num_complex::Complex32;
@@ -54,13 +53,7 @@ pub(crate) fn sees_tail(detector: &Detector, optics: &Optics) -> bool {
 
 /// Whether a detector reads the coherent tail.
 fn reads_tail(detector: &Detector, plan: &Plan) -> bool {
-    plan.has_windows() && reads_tail_in_windows(detector, &plan.settings)
-}
-
-/// Whether a detector reads the coherent tail if these settings use windows.
-pub(super) fn reads_tail_in_windows(detector: &Detector, settings: &Settings) -> bool {
-    let asked = settings.tail_correction && settings.direct_beam;
-    asked && sees_tail(detector, &settings.optics)
+    plan.has_windows() && plan.settings.reads_tail(detector)
 }
 
 /// The largest frequency (1/Angstrom) of the detectors that read the tail; `None` if there are none.

@@ -5,12 +5,12 @@
 //! after half the thickness of free space, s_a the cross section of the atom for the detector. Without this correction, windows of 7.8 A
 //! are too dark everywhere by 0.8 % of the mean image, which is 3-5 % between columns.
 
-use super::accuracy::LEAST_INNER_SEMIANGLES;
 use super::grid::Grid;
 use super::plan::Plan;
 use super::probe::{Lens, aperture, probe_in_box, repeated};
 use super::probe_patches::{ProbePatches, window_centre};
 use super::probe_scan::ProbePlaces;
+use super::settings::LEAST_INNER_SEMIANGLES;
 use super::single_precision::single;
 use crate::constants::interaction_parameter;
 use crate::detect::Detector;

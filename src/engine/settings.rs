@@ -1,6 +1,5 @@
 //! Settings of a simulation.
 
-use super::bright_detectors::reads_tail_in_windows;
 use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::optics::Optics;
@@ -59,6 +58,10 @@ pub enum GridChoice {
 
 /// Factor of the angle that automatic grids carry, over the outermost detector angle.
 pub(crate) const AUTO_ANGLE_MARGIN: f64 = 1.2;
+
+/// Smallest inner angle of a detector for windows, in semiangles. At smaller angles the pixels of a window's diffraction pattern are too
+/// coarse, and detectors would see the tail of the probe directly.
+pub(super) const LEAST_INNER_SEMIANGLES: f64 = 2.0;
 
 /// Where the probe has norm 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -344,9 +347,15 @@ impl Settings {
         self.probe_box.map_or(windows, |b| b == ProbeBox::Large)
     }
 
-    /// Whether a detector reads the part of a probe outside its window, if these settings use windows.
+    /// Whether any detector reads the part of a probe outside its window, if these settings use windows.
     pub(super) fn reads_tail_in_windows(&self) -> bool {
-        self.detectors.iter().any(|detector| reads_tail_in_windows(detector, self))
+        self.detectors.iter().any(|detector| self.reads_tail(detector))
+    }
+
+    /// Whether a detector reads the part of a probe outside its window, if these settings use windows.
+    pub(super) fn reads_tail(&self, detector: &Detector) -> bool {
+        let low = detector.inner_mrad < LEAST_INNER_SEMIANGLES * self.optics.semiangle_mrad;
+        low && self.tail_correction && self.direct_beam
     }
 
     /// Number of phonon configurations simulated.

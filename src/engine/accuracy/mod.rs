@@ -11,5 +11,4 @@ pub use accuracy_found::{AccuracyFound, TriedWindow};
 pub(crate) use exact_probes::ExactEngine;
 pub(crate) use settings_choice::mean_heights;
 pub use settings_choice::settings_for_accuracy;
-pub(super) use window_table::LEAST_INNER_SEMIANGLES;
 pub use window_table::{WindowChoice, window_for};

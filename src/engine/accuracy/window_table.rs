@@ -10,7 +10,7 @@
 use super::super::probe_width::{
     MEASURED_THICKNESS_ANGSTROM, SPREAD, geometric_radius, relative_size,
 };
-use super::super::settings::Settings;
+use super::super::settings::{LEAST_INNER_SEMIANGLES, Settings};
 use crate::error::{Error, Result};
 
 /// Measured pairs: error in per cent, width of the window in Angstrom.
@@ -20,9 +20,6 @@ const MEASURED: [(f64, f64); 3] = [(3.3, 5.9), (0.8, 7.8), (0.4, 11.7)];
 const MEASURED_MISTILT_MRAD: f64 = 5.0;
 /// A window grows by this many times the lateral distance that a tilted beam covers in the specimen: by 3.9 A for 5 mrad and 100 A.
 const MISTILT_GROWTH: f64 = 7.8;
-/// Smallest inner angle of a detector for windows, in semiangles. At smaller angles the pixels of a window's diffraction pattern are too
-/// coarse, and detectors would see the tail of the probe directly.
-pub(in crate::engine) const LEAST_INNER_SEMIANGLES: f64 = 2.0;
 
 /// A window, and why its error may differ from the measured one.
 #[derive(Debug, Clone, PartialEq)]
