@@ -3,7 +3,16 @@
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 /// Names of options and detectors of other programs, with the advice for each.
-const NOT_OFFERED: [(&[&str], &str); 5] = [
+const NOT_OFFERED: [(&[&str], &str); 7] = [
+    (
+        &["convergence", "convergence-angle", "convergence-mrad", "semiangle-cutoff"],
+        "--semiangle MRAD of `stemgen simulate` and `stemgen patterns` sets the convergence semiangle; worlds: --set \
+         optics.convergence_mrad=MRAD",
+    ),
+    (
+        &["voltage", "kv", "ht", "energy-kv"],
+        "--energy KV of `stemgen simulate` and `stemgen patterns` sets the accelerating voltage; worlds: --set optics.energy_kv=KV",
+    ),
     (
         &["4d", "4dstem", "4d-stem", "pixelated", "cbed", "diffraction", "ptychography"],
         "`stemgen patterns` simulates diffraction patterns (4D-STEM, CBED), for a program of your own to reconstruct",

@@ -50,6 +50,21 @@ fn crops_narrower_than_the_probe_give_a_warning() {
 }
 
 #[test]
+fn options_of_other_programs_get_the_name_that_they_have_here() {
+    let folder = tempfile::tempdir().unwrap();
+    for (words, part) in [
+        (&["--convergence", "25"][..], "--semiangle MRAD"),
+        (&["--voltage", "80"], "--energy KV"),
+        (&["--energy-kv", "80"], "--energy KV"),
+        (&["--mistilt", "1,2"], "--tilt X,Y"),
+        (&["--gpu"], "does not use GPUs"),
+    ] {
+        let said = fails(stemgen(folder.path()).args(["simulate", "si.cif"]).args(words));
+        assert!(said.contains(part) && said.contains(words[0]), "{words:?}: {said}");
+    }
+}
+
+#[test]
 fn a_cell_is_strained_within_the_limit_and_the_file_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
