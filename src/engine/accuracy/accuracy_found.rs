@@ -10,7 +10,7 @@ use serde::Serialize;
 pub struct TriedWindow {
     /// Width of the window in Angstrom.
     pub width_angstrom: f64,
-    /// The largest angle of its grid, in units of the outermost detector angle ([`Settings::angle_margin`]).
+    /// The largest angle of its grid, in units of the outermost detector angle ([`angle_margin`](super::super::settings::Settings::angle_margin)).
     pub angle_margin: f64,
     /// Rms error on the sample with that of local slices, in per cent of the mean image.
     pub found_percent: f64,
