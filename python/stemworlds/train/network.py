@@ -71,6 +71,9 @@ class Network(nn.Module):
         kinds, phases, types: numbers of kinds of columns, phases and types of defects that it distinguishes.
     """
 
+    middle: Tensor
+    width: Tensor
+
     def __init__(self, table: NetworkTable, kinds: int, phases: int, types: int) -> None:
         super().__init__()
         channels, blocks = table.channels, table.blocks

@@ -117,8 +117,9 @@ class Ensemble:
             nn.utils.clip_grad_norm_(network.parameters(), self._table.clip, foreach=True)
             optimiser.step()
             with torch.no_grad():
-                own = list(averaged.parameters())
-                apart = torch._foreach_sub(list(network.parameters()), own)
+                # PyTorch declares fewer types here than it takes.
+                own: Any = list(averaged.parameters())
+                apart: Any = torch._foreach_sub(list(network.parameters()), own)
                 torch._foreach_mul_(apart, self._moving)
                 torch._foreach_add_(own, apart)
             said.append(stacked.detach())

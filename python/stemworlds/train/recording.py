@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -134,7 +135,7 @@ class Recorder:
             return (2 * at + 1) / torch.tensor([width, height], device=device) - 1
 
         jitter = own["jitter_nm"][..., None] / pixel[..., None] * torch.randn(count, height, 2, generator=random, device=device)
-        options = {"padding_mode": "reflection", "align_corners": False}
+        options: Any = {"padding_mode": "reflection", "align_corners": False}
         moved = functional.grid_sample(clean[:, None], grid(column, row, jitter[:, :, None]), mode="bicubic", **options)[:, 0]
         places = batch["places"]
         batch["places"] = places - torch.stack(steady(places[..., 0], places[..., 1]), dim=-1)
