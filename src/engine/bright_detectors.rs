@@ -13,9 +13,7 @@ use super::padded_box::{
 use super::plan::Plan;
 use super::probe::highest_k;
 use super::probe_patches::window_centre;
-use super::settings::LEAST_INNER_SEMIANGLES;
 use crate::detect::{Detector, DetectorMap};
-use crate::optics::Optics;
 use num_complex::Complex32;
 
 /// Least width of the box, in units of the wavelength over the semiangle (62 A at 200 kV and 21 mrad). The edge of the aperture is as wide as
@@ -44,11 +42,6 @@ pub(super) struct BrightWorkspace {
 pub(super) struct TailThere {
     phases: [Vec<Complex32>; 2],
     transmission: Complex32,
-}
-
-/// Whether a detector begins at angles so low that it sees the tail of a probe itself.
-pub(crate) fn sees_tail(detector: &Detector, optics: &Optics) -> bool {
-    detector.inner_mrad < LEAST_INNER_SEMIANGLES * optics.semiangle_mrad
 }
 
 /// Whether a detector reads the coherent tail.

@@ -50,7 +50,6 @@ mod workspace_pool;
 pub(crate) use crate::structure::Site;
 pub use accuracy::{AccuracyFound, TriedWindow, WindowChoice, settings_for_accuracy, window_for};
 pub(crate) use accuracy::{ExactEngine, mean_heights};
-pub(crate) use bright_detectors::sees_tail;
 pub use cost::Cost;
 pub(crate) use cost::PlannedScan;
 pub use detector_images::Images;
@@ -68,6 +67,7 @@ pub use probe_scan::Scan;
 pub use scan_part::{ScanPart, series_digest};
 pub use series::simulate_part;
 pub(crate) use series::{simulate_places, simulate_series};
+pub(crate) use settings::sees_tail;
 pub use settings::{
     Algorithm, BeyondLimit, DEFAULT_BAND_FRACTION, EXACT_BAND_FRACTION, Expansion, GridChoice,
     Phonons, ProbeBox, ProbeStep, Settings,

@@ -150,16 +150,14 @@ impl<'a> Multislice<'a> {
         wanted: &[bool],
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
-        let mut patches = ProbePatches::new(self.plan, places);
-        let half = patches.half(self.plan);
-        patches.patches.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted[*i]));
-        patches.patches.retain(|g| !g.probes.is_empty());
         let few = wanted.iter().filter(|w| **w).count() * self.probes.len();
-        let groups = match self.bright.is_some() && few < waves_of_patch(self.plan) {
-            true => (self.together(patches), None),
-            false => self.groups_of(patches, half),
+        let (mut groups, waves) = match self.bright.is_some() && few < waves_of_patch(self.plan) {
+            true => (self.together(ProbePatches::new(self.plan, places)), None),
+            false => self.groups(places),
         };
-        self.run_groups(transmission, places.len(), groups, true, progress)
+        groups.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted[*i]));
+        groups.retain(|g| !g.probes.is_empty());
+        self.run_groups(transmission, places.len(), (groups, waves), true, progress)
     }
 
     /// With `one_by_one`, the probes of a patch are propagated as sums of its waves where they are fewer than the waves.
@@ -220,17 +218,7 @@ impl<'a> Multislice<'a> {
     /// parts whose waves step together.
     fn groups(&mut self, places: ProbePlaces<'_>) -> (Vec<Patch>, Option<Arc<PatchWaves>>) {
         let patches = ProbePatches::new(self.plan, places);
-        let half = patches.half(self.plan);
-        self.groups_of(patches, half)
-    }
-
-    /// `half` is the largest distance (x, y) in Angstrom of a probe from the middle of its window.
-    fn groups_of(
-        &mut self,
-        patches: ProbePatches,
-        half: [f64; 2],
-    ) -> (Vec<Patch>, Option<Arc<PatchWaves>>) {
-        match self.patch_waves(patches.error, half) {
+        match self.patch_waves(&patches) {
             Some(waves) => (patches.patches, Some(waves)),
             None => (self.together(patches), None),
         }
@@ -243,10 +231,11 @@ impl<'a> Multislice<'a> {
     }
 
     /// The waves for the probes of these patches, if they are expanded. Scans of equal shape share them.
-    fn patch_waves(&mut self, error: Option<f64>, half: [f64; 2]) -> Option<Arc<PatchWaves>> {
-        let error = error?;
+    fn patch_waves(&mut self, patches: &ProbePatches) -> Option<Arc<PatchWaves>> {
+        let error = patches.error?;
         let probes: Vec<&CroppedProbe> =
             self.probes.iter().map(|(_, probe)| probe.cropped()).collect::<Option<_>>()?;
+        let half = patches.half(self.plan);
         if let Some((_, waves)) = self.waves.as_ref().filter(|known| known.0 == half) {
             return Some(waves.clone());
         }

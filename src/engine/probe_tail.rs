@@ -10,7 +10,7 @@ use super::plan::Plan;
 use super::probe::{Lens, aperture, probe_in_box, repeated};
 use super::probe_patches::{ProbePatches, window_centre};
 use super::probe_scan::ProbePlaces;
-use super::settings::LEAST_INNER_SEMIANGLES;
+use super::settings::sees_tail;
 use super::single_precision::single;
 use crate::constants::interaction_parameter;
 use crate::detect::Detector;
@@ -28,7 +28,7 @@ use std::f64::consts::PI;
 
 /// Whether the detector begins at angles large enough to see only electrons of the tail that atoms scatter, not the tail directly.
 fn applies(detector: &Detector, plan: &Plan) -> bool {
-    detector.inner_mrad >= LEAST_INNER_SEMIANGLES * plan.settings.optics.semiangle_mrad
+    !sees_tail(detector, &plan.settings.optics)
 }
 
 /// The tails of a plan's probes.

@@ -63,6 +63,11 @@ pub(crate) const AUTO_ANGLE_MARGIN: f64 = 1.2;
 /// coarse, and detectors would see the tail of the probe directly.
 pub(super) const LEAST_INNER_SEMIANGLES: f64 = 2.0;
 
+/// Whether a detector begins at angles so low that it sees the tail of a probe itself.
+pub(crate) fn sees_tail(detector: &Detector, optics: &Optics) -> bool {
+    detector.inner_mrad < LEAST_INNER_SEMIANGLES * optics.semiangle_mrad
+}
+
 /// Where the probe has norm 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -354,8 +359,7 @@ impl Settings {
 
     /// Whether a detector reads the part of a probe outside its window, if these settings use windows.
     pub(super) fn reads_tail(&self, detector: &Detector) -> bool {
-        let low = detector.inner_mrad < LEAST_INNER_SEMIANGLES * self.optics.semiangle_mrad;
-        low && self.tail_correction && self.direct_beam
+        sees_tail(detector, &self.optics) && self.tail_correction && self.direct_beam
     }
 
     /// Number of phonon configurations simulated.

@@ -64,9 +64,25 @@ fn tilted_platinum(sigma: f64) -> Specimen {
     Specimen { sites, cell: [36.0, 36.0, 28.0] }
 }
 
-fn image(settings: &Settings, specimen: &Specimen, scan: &Scan) -> Images {
+fn plan(settings: &Settings, specimen: &Specimen) -> Plan {
     let heights: Vec<f64> = specimen.sites.iter().map(|s| s.position[2]).collect();
-    let plan = Plan::new(settings, specimen.cell, &heights).unwrap();
+    Plan::new(settings, specimen.cell, &heights).unwrap()
+}
+
+/// The values of some probes of SrTiO3 in the first configuration: (probe, detector).
+fn some_probes(
+    settings: &Settings,
+    specimen: &Specimen,
+    scan: &Scan,
+    indices: &[usize],
+) -> Vec<f64> {
+    let plan = plan(settings, specimen);
+    let mut simulation = Simulation::new(&plan, &[8, 22, 38]).unwrap();
+    simulation.some_probes(&specimen.sites, scan, indices, 0, &Silent).unwrap()
+}
+
+fn image(settings: &Settings, specimen: &Specimen, scan: &Scan) -> Images {
+    let plan = plan(settings, specimen);
     simulate(&plan, &specimen.sites, scan, &Silent).unwrap()
 }
 
@@ -149,11 +165,8 @@ fn some_probes_are_those_of_the_image() {
     let scan = scan([-1.0, 3.0], 0.3, [14, 17]);
     for settings in cases {
         let images = image(&settings, &specimen, &scan);
-        let heights: Vec<f64> = specimen.sites.iter().map(|s| s.position[2]).collect();
-        let plan = Plan::new(&settings, specimen.cell, &heights).unwrap();
-        let mut simulation = Simulation::new(&plan, &[8, 22, 38]).unwrap();
         let indices = [200, 3, 17 * 14 - 1, 3, 91];
-        let some = simulation.some_probes(&specimen.sites, &scan, &indices, 0, &Silent).unwrap();
+        let some = some_probes(&settings, &specimen, &scan, &indices);
         let detectors = settings.detectors.len();
         for (n, i) in indices.iter().enumerate() {
             for d in 0..detectors {
@@ -195,11 +208,8 @@ fn few_probes_of_a_bright_field_are_those_of_the_image_but_for_its_expansion() {
     };
     let scan = scan([-1.0, 3.0], 0.3, [14, 17]);
     let images = image(&expanded, &specimen, &scan);
-    let heights: Vec<f64> = specimen.sites.iter().map(|s| s.position[2]).collect();
-    let plan = Plan::new(&expanded, specimen.cell, &heights).unwrap();
-    let mut simulation = Simulation::new(&plan, &[8, 22, 38]).unwrap();
     let indices = [200, 3, 17 * 14 - 1, 91];
-    let some = simulation.some_probes(&specimen.sites, &scan, &indices, 0, &Silent).unwrap();
+    let some = some_probes(&expanded, &specimen, &scan, &indices);
     let off = |d: usize| {
         let of = |(n, i): (usize, &usize)| {
             let pixel = images.image(0, d)[[i / 17, i % 17]];

@@ -207,26 +207,31 @@ fn overviews_simulate_no_column_of_their_own() {
     assert!((ratio - 1.0).abs() < 0.2, "{ratio}");
 }
 
-#[test]
-fn bytes_depend_neither_on_threads_nor_on_the_cache() {
-    let folder = tempfile::tempdir().unwrap();
-    let recipe = recipe(0, 0.0).checked().unwrap();
-    let options = BuildOptions {
+/// Options for a mosaic that is built in several sub-tiles, with its noise-free image.
+fn in_small_parts(cache: Cache) -> BuildOptions {
+    BuildOptions {
         keep_clean: true,
         subtile_nm: Some(3.0),
         subtile_overlap_nm: Some(0.4),
         audit_regions: 0,
         method: BuildMethod::Mosaic,
         window_angstrom: Some(7.8),
+        cache,
         ..BuildOptions::default()
-    };
+    }
+}
+
+#[test]
+fn bytes_depend_neither_on_threads_nor_on_the_cache() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = recipe(0, 0.0).checked().unwrap();
     let cache = Cache::at(folder.path().join("cache"));
     let cases = [("cold", 1, cache.clone()), ("warm", 3, cache), ("none", 2, Cache::none())];
     let mut images = HashMap::new();
     for (name, threads, cache) in cases {
         let path = folder.path().join(format!("{name}.h5"));
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let options = BuildOptions { cache, ..options.clone() };
+        let options = in_small_parts(cache);
         let done = pool.install(|| build(&recipe, &path, &options, &Silent)).unwrap();
         let [all, simulated] = done.library.unwrap();
         assert_eq!(simulated, if name == "warm" { 0 } else { all }, "{name}");
@@ -247,16 +252,7 @@ fn another_library_seed_shares_no_image_with_the_first() {
     let with = |name: &str, library_seed: u64, seed: u64| {
         let mut recipe = recipe(0, 0.1);
         (recipe.phonons.library_seed, recipe.seed) = (library_seed, seed);
-        let options = BuildOptions {
-            keep_clean: true,
-            subtile_nm: Some(3.0),
-            subtile_overlap_nm: Some(0.4),
-            audit_regions: 0,
-            method: BuildMethod::Mosaic,
-            window_angstrom: Some(7.8),
-            cache: Cache::at(folder.path().join("cache")),
-            ..BuildOptions::default()
-        };
+        let options = in_small_parts(Cache::at(folder.path().join("cache")));
         let path = folder.path().join(name);
         let done = build(&recipe.checked().unwrap(), &path, &options, &Silent).unwrap();
         (done.library.unwrap(), WorldFile::open(&path).unwrap())

@@ -48,16 +48,14 @@ impl AccuracyFound {
 
     /// The result of a search without a tried window: the exact engine.
     pub(crate) fn exact(asked_percent: f64, exact: &ExactEngine) -> Self {
-        let algorithm = exact.plan.settings.algorithm;
-        let (tried, reference) = (Vec::new(), exact.name());
         AccuracyFound {
             asked_percent,
-            algorithm,
+            algorithm: exact.plan.settings.algorithm,
             holds: false,
             chosen_later: false,
-            tried,
+            tried: Vec::new(),
             needs_large_box: false,
-            reference,
+            reference: exact.name(),
         }
     }
 

@@ -167,10 +167,14 @@ impl Search<'_> {
         tried: &mut Vec<TriedWindow>,
         progress: &dyn Progress,
     ) -> Result<Option<Settings>> {
+        let exact_raster = *ProbeRaster::new(&self.exact.plan, self.asked)?.scan();
+        let most_flops = WORTH * self.flops(&self.exact.plan, &exact_raster);
         let (mut sample, candidates) = (SearchSample::default(), self.candidates()?);
         let (mut next, mut finer) = (VecDeque::from(candidates.clone()), false);
         while let Some(settings) = next.pop_front() {
-            let Some(window) = self.attempt(&settings, &mut sample, progress)? else { break };
+            let Some(window) = self.attempt(&settings, most_flops, &mut sample, progress)? else {
+                break;
+            };
             tried.push(window);
             if window.likely_percent <= self.accuracy_percent {
                 return Ok(Some(settings));
@@ -183,21 +187,23 @@ impl Search<'_> {
         Ok(None)
     }
 
-    /// Measures the error of a window; `None` if it would not save time.
+    /// Operations of a scan with a plan, for the atoms of the first frame.
+    fn flops(&self, plan: &Plan, raster: &Scan) -> f64 {
+        Cost::with_atoms(plan, raster, self.frames[0]).nominal_flops()
+    }
+
+    /// Measures the error of a window; `None` if it needs more than `most_flops` operations, and so would not save time.
     fn attempt(
         &self,
         settings: &Settings,
+        most_flops: f64,
         SearchSample { drawn, rounds }: &mut SearchSample,
         progress: &dyn Progress,
     ) -> Result<Option<TriedWindow>> {
-        let flops_of = |plan: &Plan, raster: &Scan| {
-            Cost::with_atoms(plan, raster, self.frames[0]).nominal_flops()
-        };
-        let exact_raster = *ProbeRaster::new(&self.exact.plan, self.asked)?.scan();
         let plan = self.plan(settings)?;
         let raster = *ProbeRaster::new(&plan, self.asked)?.scan();
-        let flops = flops_of(&plan, &raster);
-        if !plan.has_windows() || flops > WORTH * flops_of(&self.exact.plan, &exact_raster) {
+        let flops = self.flops(&plan, &raster);
+        if !plan.has_windows() || flops > most_flops {
             return Ok(None);
         }
         let (sample, shape, most_rounds) = drawn.get_or_insert_with(|| {

@@ -68,8 +68,8 @@ pub(crate) struct PatternTable {
 
 impl PatternTable {
     /// Draws the patterns of units with `sites` sites, for `library_cells` library cells of `per_library_cell` lattice cells. `seed` is the
-    /// library's, and `stream` distinguishes kinds of units. A larger pool begins with the library cells of a smaller one, so that worlds with different numbers of
-    /// phonon configurations share them.
+    /// library's, and `stream` distinguishes kinds of units. A larger pool begins with the library cells of a smaller one, so that worlds with
+    /// different numbers of phonon configurations share them.
     pub(crate) fn new(
         sites: usize,
         bin: usize,
